@@ -1,0 +1,11 @@
+// The extension module lfrig.processing.kernels._native: each kernel registers itself in its own file.
+#include <nanobind/nanobind.h>
+
+namespace nb = nanobind;
+
+void register_warp(nb::module_ &m);
+
+NB_MODULE(_native, m) {
+    m.doc() = "lfrig's native kernels; each has a NumPy twin in the Python file of its name.";
+    register_warp(m);
+}
