@@ -173,12 +173,12 @@ class RigPrior:
 class Evidence:
     """Disparity evidence of one light field, on the grid of its centre view (the DPV and what is read from it).
 
-    ``probability`` float16 [H, W, D], sums to 1 along D; ``planes_px`` = (first, step) in px per view step;
-    ``disparity`` float32 [H, W] px per view step; ``confidence`` float32 [H, W] in 0..1, the mass at the peak;
-    ``noise_sigma`` in grey levels (0..255).
+    ``probability`` uint16 [H, W, D], 65535 = certain, sums to about 65535 along D; ``planes_px`` = (first, step) in px
+    per view step; ``disparity`` float32 [H, W] px per view step; ``confidence`` float32 [H, W] in 0..1, the mass at
+    the peak; ``noise_sigma`` in grey levels (0..255).
     """
 
-    probability: NDArray[np.float16]
+    probability: NDArray[np.uint16]
     planes_px: tuple[float, float]
     disparity: F32
     confidence: F32

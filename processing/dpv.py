@@ -1,0 +1,198 @@
+"""Light field → disparity evidence (the DPV): how likely each disparity is at each pixel of the centre view.
+
+A photo-consistency sweep over all views with truncated absolute differences, semi-global aggregation, and a softmax
+whose temperature and penalties follow the measured noise. The paper reads the DPV from EPI slopes (after Chen et al.
+2018); this sweep replaces it at the same module boundary.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfrig.contracts.errors import BadInput
+from lfrig.contracts.progress import Monitor
+from lfrig.processing.kernels.plane_cost import grey_views, plane_cost
+from lfrig.processing.kernels.sgm import aggregate
+from lfrig.processing.model import F32, Evidence, LightField
+
+
+@dataclass(frozen=True)
+class DpvSettings:
+    """Knobs of the sweep; grey levels are of 0..255. Chosen on the tuning scenes (docs/benchmarks.md)."""
+
+    plane_step_px: float = 0.022
+    min_planes: int = 16
+    max_planes: int = 160
+    truncation_grey: float = 23.0
+    p1_grey: float = 0.31
+    p2_grey: float = 1.56
+    edge_grey: float = 12.0
+    inverse_temperature: float = 3.0
+    """Softmax sharpness per grey level of aggregated cost, on clean views."""
+    window: int = 3
+    """Half width, in planes, of the regression around the peak."""
+    noise_share: float = 0.6
+    """How fast penalties grow, and the temperature rises, per grey level of noise."""
+
+
+DEFAULT_DPV = DpvSettings()
+NO_TEXTURE_GREY = 0.5
+
+
+def light_field_evidence(
+    light_field: LightField,
+    disparity_range: tuple[float, float],
+    settings: DpvSettings = DEFAULT_DPV,
+    *,
+    threads: int = 0,
+    monitor: Monitor | None = None,
+) -> Evidence:
+    """Disparity evidence of one light field.
+
+    Parameters
+    ----------
+    disparity_range : (lo, hi)
+        Disparities to consider [px per view step]; see `auto_range`.
+
+    Returns
+    -------
+    Evidence
+        On the grid of the centre view.
+
+    Raises
+    ------
+    BadInput
+        The views are constant: there is nothing to match.
+    """
+    refuse_constant(light_field)
+    first, step, planes = plane_grid(disparity_range, settings)
+    grey, centre, offsets = _split_views(light_field)
+    cost = plane_cost(
+        grey, centre, offsets, first, step, planes, settings.truncation_grey, threads=threads, monitor=monitor
+    )
+    noise = noise_of_cost(cost)
+    swell = 1.0 + settings.noise_share * noise
+    total = aggregate(
+        cost, light_field.centre_view, settings.p1_grey * swell, settings.p2_grey * swell, settings.edge_grey,
+        threads=threads, monitor=monitor,
+    )  # fmt: skip
+    del cost
+    probability, index, confidence = softmax_peak(total, settings.inverse_temperature / swell, settings.window)
+    disparity = np.asarray(first + step * index, np.float32)
+    return Evidence(probability, (first, step), disparity, confidence, noise, len(offsets) + 1)
+
+
+def plane_grid(disparity_range: tuple[float, float], settings: DpvSettings) -> tuple[float, float, int]:
+    """(first, step, count) of planes that cover ``disparity_range`` at about ``plane_step_px``.
+
+    Raises
+    ------
+    BadInput
+        The range is empty, reversed or not finite.
+    """
+    lo, hi = map(float, disparity_range)
+    if not (np.isfinite([lo, hi]).all() and lo < hi):
+        raise BadInput(
+            f"disparity range {lo:g}:{hi:g} is empty", field="disparity-range", remedy="give LO:HI with LO < HI"
+        )
+    count = int(np.clip(np.ceil((hi - lo) / settings.plane_step_px) + 1, settings.min_planes, settings.max_planes))
+    return lo, (hi - lo) / (count - 1), count
+
+
+def auto_range(light_field: LightField, *, limit_px: float = 4.0, threads: int = 0) -> tuple[float, float]:
+    """The disparities that occur in a light field, found by a coarse sweep at half size.
+
+    Pixels vote where the best plane is clearly better than the average; the range holds 99 % of the votes on
+    each side and a margin.
+
+    Returns
+    -------
+    (lo, hi) [px per view step]
+    """
+    import cv2
+
+    refuse_constant(light_field)
+    grey, centre, offsets = _split_views(light_field)
+    size = (max(8, light_field.width // 2), max(8, light_field.height // 2))
+    small = np.stack([cv2.resize(view, size, interpolation=cv2.INTER_AREA) for view in grey])
+    small_centre = cv2.resize(centre, size, interpolation=cv2.INTER_AREA)
+    ratio = size[0] / light_field.width
+    step = 0.06
+    planes = int(2 * limit_px * ratio / step) + 1
+    cost = plane_cost(small, small_centre, offsets, -limit_px * ratio, step, planes, 23.0, threads=threads)
+    best = cost.argmin(2)
+    margin = cost.mean(2) - cost.min(2)
+    votes = margin > np.maximum(1.0, np.quantile(margin, 0.5))
+    if votes.sum() < 20:
+        return -limit_px / 4, limit_px / 4
+    lo, hi = np.quantile(best[votes], [0.005, 0.995])
+    slack = 3 + 0.05 * (hi - lo)
+    to_px = step / ratio
+    return (
+        max(-limit_px, float((lo - slack) * to_px - limit_px)),
+        min(limit_px, float((hi + slack) * to_px - limit_px)),
+    )
+
+
+def refuse_constant(light_field: LightField) -> None:
+    """Raise `BadInput` when no view has any structure (a lens cap, a uniform wall)."""
+    if float(light_field.centre_view.std(axis=(0, 1)).max()) < NO_TEXTURE_GREY:
+        raise BadInput(
+            "the centre view is constant: nothing can be matched in it",
+            path=light_field.id,
+            field="views",
+            code="constant-image",
+            remedy="check the exposure and the lens cap, or leave this capture out",
+        )
+
+
+def noise_of_cost(cost: F32) -> float:
+    """Noise standard deviation [grey levels] from the floor of the matching cost.
+
+    Where the right plane is among the candidates the views differ by noise alone, so the mean absolute difference of
+    two noisy pixels, σ·2/√π, is what is left; the tenth percentile over the image avoids edges and wrong planes, and
+    one grey level of interpolation error and quantisation is taken off.
+    """
+    floor = float(np.quantile(cost.min(axis=2)[::2, ::2], 0.1))
+    return max(0.0, floor * float(np.sqrt(np.pi)) / 2 - 0.5)
+
+
+def softmax_peak(cost: F32, inverse_temperature: float, window: int) -> tuple[NDArray[np.uint16], F32, F32]:
+    """Softmax of −cost along the last axis, and the peak's windowed mean.
+
+    The mean is taken over ±``window`` planes around the peak: over all planes, a uniform floor of 20 % would pull it
+    by 4 planes.
+
+    Returns
+    -------
+    probability uint16 [H, W, D] (65535 = 1), peak index float32 [H, W], confidence float32 [H, W] (mass at the peak).
+    """
+    height, width, planes = cost.shape
+    probability = np.empty(cost.shape, np.uint16)
+    index = np.empty((height, width), np.float32)
+    confidence = np.empty((height, width), np.float32)
+    labels = np.arange(planes, dtype=np.float32)
+    rows = max(1, 2_000_000 // (width * planes))
+    for y in range(0, height, rows):
+        block = cost[y : y + rows]
+        p = np.exp((block.min(2, keepdims=True) - block) * np.float32(inverse_temperature))
+        p /= p.sum(2, keepdims=True)
+        probability[y : y + rows] = (p * np.float32(65535) + np.float32(0.5)).astype(np.uint16)
+        near = np.abs(labels - p.argmax(2)[..., None]) <= window
+        p *= near
+        mass = p.sum(2)
+        confidence[y : y + rows] = mass
+        index[y : y + rows] = (p @ labels) / mass
+    return probability, index, confidence
+
+
+def _split_views(light_field: LightField) -> tuple[NDArray[np.int16], NDArray[np.int16], NDArray[np.float64]]:
+    """Grey views without the centre int16 [V, H, W], the centre's [H, W], offsets float64 [V, 2]."""
+    grey = grey_views(light_field.views)
+    r0, c0 = light_field.centre_index
+    centre = r0 * light_field.angular[1] + c0
+    keep = np.arange(len(grey)) != centre
+    return np.ascontiguousarray(grey[keep]), grey[centre], light_field.offsets().reshape(-1, 2)[keep]
