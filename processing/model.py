@@ -184,6 +184,8 @@ class Evidence:
     confidence: F32
     noise_sigma: float = 0.0
     views_used: int = 0
+    occlusion_tested: float = 0.0
+    """Share of the pixels that needed the half-aperture test."""
 
     @property
     def planes(self) -> int:

@@ -47,47 +47,59 @@ LFRIG_CLONES void box_rows(const uint16_t *__restrict up, const uint16_t *__rest
     for (int x = 0; x < width; ++x) sum[x] = float(up[x]) + float(mid[x]) + float(down[x]);
 }
 
-// views: int16 [V, H + 2 pad, W + 2 pad] (grey x 64), offsets [V, 2] (dr, dc), out float32 [H, W, D] in grey levels
+constexpr int kBlock = 64;  // pixels of a row that are computed or skipped together
+
+// views: int16 [V, H + 2 pad, W + 2 pad] (grey x 64), offsets [V, 2] (dr, dc), out float32 [H, W, D] in grey levels.
+// active: uint8 [H, ceil(W / 64)]; blocks with 0 are skipped and keep an unspecified cost.
 void plane_cost(ndarray<const int16_t, nb::ndim<3>, nb::c_contig, nb::device::cpu> views,
                 ndarray<const int16_t, nb::ndim<2>, nb::c_contig, nb::device::cpu> centre_view,
-                ndarray<const float, nb::ndim<2>, nb::c_contig, nb::device::cpu> offsets, int pad, float first,
+                ndarray<const float, nb::ndim<2>, nb::c_contig, nb::device::cpu> offsets,
+                ndarray<const uint8_t, nb::ndim<2>, nb::c_contig, nb::device::cpu> active, int pad, float first,
                 float step, int truncation, ndarray<float, nb::ndim<3>, nb::c_contig, nb::device::cpu> out,
                 int threads) {
     const int count = int(views.shape(0)), rows = int(views.shape(1)), stride = int(views.shape(2));
     const int height = int(out.shape(0)), width = int(out.shape(1)), planes = int(out.shape(2));
+    float reach = 0;
+    for (int v = 0; v < 2 * count; ++v) reach = std::max(reach, std::fabs(offsets.data()[v]));
+    reach *= std::max(std::fabs(first), std::fabs(first + step * float(planes - 1)));
+    if (reach > float(pad - 2)) throw std::invalid_argument("plane_cost: the views are not padded enough");
     if (rows != height + 2 * pad || stride != width + 2 * pad || int(offsets.shape(0)) != count ||
         int(centre_view.shape(0)) != rows || int(centre_view.shape(1)) != stride || count < 1 || count > 512 ||
-        truncation < 1 || truncation * (long)count > 65535L * 64)
+        int(active.shape(0)) != height || int(active.shape(1)) != (width + kBlock - 1) / kBlock || truncation < 1 ||
+        truncation > 32767)
         throw std::invalid_argument("plane_cost: shapes do not match");
     const int16_t *src = views.data(), *centre = centre_view.data();
     const float *off = offsets.data();
+    const uint8_t *on = active.data();
+    const int blocks = int(active.shape(1));
     float *dst = out.data();
     nb::gil_scoped_release release;
     // At most this many views fit a 16-bit sum before it is folded into the 32-bit one.
     const int fold = std::max(1, 65535 / truncation);
     std::vector<uint16_t> cost(size_t(height) * planes * width);
-    lfrig::parallel_for(height, threads, [&](int y) {
-        std::vector<uint16_t> acc(width);
-        std::vector<uint32_t> total(width);
-        const int16_t *c = centre + size_t(y + pad) * stride + pad;
+    lfrig::parallel_for(height * blocks, threads, [&](int item) {
+        if (!on[item]) return;
+        const int y = item / blocks, x0 = (item % blocks) * kBlock, n = std::min(kBlock, width - x0);
+        uint16_t acc[kBlock];
+        uint32_t total[kBlock];
+        const int16_t *c = centre + size_t(y + pad) * stride + pad + x0;
         for (int k = 0; k < planes; ++k) {
             const float delta = first + step * float(k);
-            std::fill(total.begin(), total.end(), 0u);
-            std::fill(acc.begin(), acc.end(), uint16_t(0));
+            std::fill(total, total + n, 0u);
+            std::fill(acc, acc + n, uint16_t(0));
             int held = 0;
             for (int v = 0; v < count; ++v) {
                 const Shift s = make_shift(-off[2 * v + 1] * delta, -off[2 * v] * delta);
-                if (std::abs(s.dx) > pad - 2 || std::abs(s.dy) > pad - 2) continue;  // the caller pads enough
-                const int16_t *a = src + (size_t(v) * rows + size_t(y + pad + s.dy)) * stride + pad + s.dx;
-                accumulate_row(a, a + stride, s.wx, s.wy, c, int16_t(truncation), acc.data(), width);
+                const int16_t *a = src + (size_t(v) * rows + size_t(y + pad + s.dy)) * stride + pad + x0 + s.dx;
+                accumulate_row(a, a + stride, s.wx, s.wy, c, int16_t(truncation), acc, n);
                 if (++held == fold || v == count - 1) {
-                    for (int x = 0; x < width; ++x) total[x] += acc[x];
-                    std::fill(acc.begin(), acc.end(), uint16_t(0));
+                    for (int x = 0; x < n; ++x) total[x] += acc[x];
+                    std::fill(acc, acc + n, uint16_t(0));
                     held = 0;
                 }
             }
-            uint16_t *o = cost.data() + (size_t(y) * planes + k) * width;
-            for (int x = 0; x < width; ++x) o[x] = uint16_t((total[x] + unsigned(count) / 2) / unsigned(count));
+            uint16_t *o = cost.data() + (size_t(y) * planes + k) * width + x0;
+            for (int x = 0; x < n; ++x) o[x] = uint16_t((total[x] + unsigned(count) / 2) / unsigned(count));
         }
     });
     lfrig::parallel_for(height, threads, [&](int y) {
@@ -100,7 +112,8 @@ void plane_cost(ndarray<const int16_t, nb::ndim<3>, nb::c_contig, nb::device::cp
             sum[width + 1] = sum[width];
             float *o = dst + size_t(y) * width * planes + k;
             for (int x = 0; x < width; ++x)
-                o[size_t(x) * planes] = (sum[x] + sum[x + 1] + sum[x + 2]) * (1.0f / (9.0f * 64.0f));
+                if (on[size_t(y) * blocks + x / kBlock])
+                    o[size_t(x) * planes] = (sum[x] + sum[x + 1] + sum[x + 2]) * (1.0f / (9.0f * 64.0f));
         }
     });
 }
@@ -109,6 +122,6 @@ void plane_cost(ndarray<const int16_t, nb::ndim<3>, nb::c_contig, nb::device::cp
 
 void register_plane_cost(nb::module_ &m) {
     m.def("plane_cost", &plane_cost, nb::arg("views").noconvert(), nb::arg("centre").noconvert(),
-          nb::arg("offsets").noconvert(), nb::arg("pad"), nb::arg("first"), nb::arg("step"), nb::arg("truncation"),
+          nb::arg("offsets").noconvert(), nb::arg("active").noconvert(), nb::arg("pad"), nb::arg("first"), nb::arg("step"), nb::arg("truncation"),
           nb::arg("out").noconvert(), nb::arg("threads"));
 }

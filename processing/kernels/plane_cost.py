@@ -16,6 +16,8 @@ from lfrig.processing.model import F32, F64, U8
 
 SCALE = 64
 """Fixed-point units per grey level."""
+BLOCK = 64
+"""Pixels of a row that the native form computes or skips together."""
 
 
 def grey_views(views: U8) -> NDArray[np.int16]:
@@ -40,6 +42,7 @@ def plane_cost(
     planes: int,
     truncation: float,
     *,
+    active: NDArray[np.bool_] | None = None,
     threads: int = 0,
     monitor: Monitor | None = None,
 ) -> F32:
@@ -54,6 +57,8 @@ def plane_cost(
         (dr, dc) of each view in view steps.
     truncation : float
         Cap of the absolute difference [grey levels].
+    active : bool [H, W], optional
+        Where the cost is wanted; elsewhere it is unspecified (0 or right), and not paid for by the native form.
 
     Returns
     -------
@@ -67,11 +72,25 @@ def plane_cost(
     native = load_native("lfrig.processing.kernels._native")
     if native is None:
         return plane_cost_numpy(padded, padded_centre, offsets, pad, first, step, planes, cap, monitor)
-    out = np.empty((*centre.shape, planes), np.float32)
+    out = np.zeros((*centre.shape, planes), np.float32)
     native.plane_cost(
-        padded, padded_centre, np.ascontiguousarray(offsets, np.float32), pad, first, step, cap, out, threads
-    )
+        padded, padded_centre, np.ascontiguousarray(offsets, np.float32), _blocks(active, centre.shape), pad, first,
+        step, cap, out, threads,
+    )  # fmt: skip
     return out
+
+
+def _blocks(active: NDArray[np.bool_] | None, shape: tuple[int, ...]) -> NDArray[np.uint8]:
+    """Which blocks of 64 pixels the native form must compute, uint8 [H, ceil(W/64)]; one pixel more for the box."""
+    import cv2
+
+    height, width = shape
+    count = -(-width // BLOCK)
+    if active is None:
+        return np.ones((height, count), np.uint8)
+    grown = np.zeros((height, count * BLOCK), np.uint8)
+    grown[:, :width] = cv2.dilate(active.astype(np.uint8), np.ones((3, 3), np.uint8))
+    return np.ascontiguousarray(grown.reshape(height, count, BLOCK).max(2))
 
 
 def plane_cost_numpy(
