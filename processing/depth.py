@@ -1,0 +1,45 @@
+"""Disparity and confidence of one light field alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from lfrig.contracts.progress import Monitor
+from lfrig.processing.dpv import DEFAULT_DPV, DpvSettings, auto_range, light_field_evidence
+from lfrig.processing.model import F32, Evidence, LightField
+
+
+@dataclass(frozen=True)
+class DepthMap:
+    """``disparity`` float32 [H, W] px per view step and ``confidence`` float32 [H, W] on the centre view."""
+
+    disparity: F32
+    confidence: F32
+    evidence: Evidence
+    disparity_range: tuple[float, float]
+
+
+def estimate_disparity(
+    light_field: LightField,
+    disparity_range: tuple[float, float] | None = None,
+    settings: DpvSettings = DEFAULT_DPV,
+    *,
+    threads: int = 0,
+    monitor: Monitor | None = None,
+) -> DepthMap:
+    """Disparity of a light field's centre view.
+
+    ``disparity_range`` (lo, hi) in px per view step; None finds it (`dpv.auto_range`).
+
+    Raises
+    ------
+    BadInput
+        Constant views, or an empty range.
+    """
+    monitor = monitor or Monitor()
+    with monitor.task("disparity", 2):
+        found = disparity_range or auto_range(light_field, threads=threads)
+        monitor.advance()
+        evidence = light_field_evidence(light_field, found, settings, threads=threads, monitor=monitor)
+        monitor.advance()
+    return DepthMap(evidence.disparity, evidence.confidence, evidence, found)
