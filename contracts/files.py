@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import hashlib
+import itertools
 import os
 import shutil
 from collections.abc import Iterator
@@ -14,6 +15,9 @@ from lfrig.contracts.errors import BadInput, DiskError
 
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 _DENIED = {errno.EACCES, errno.EPERM, errno.EROFS}
+_CANNOT_SYNC = {errno.EINVAL, errno.ENOTSUP, errno.EBADF}
+"""What network and user-space file systems answer that have no fsync of a folder."""
+_SERIAL = itertools.count()
 
 
 @contextlib.contextmanager
@@ -26,6 +30,7 @@ def disk_errors(path: Path) -> Iterator[None]:
 
 
 def _disk_error(error: OSError, path: Path) -> DiskError:
+    path = _named_in(error, path)
     if error.errno in _FULL:
         return DiskError("no space left on the disk", path=path, code="disk-full", remedy="free some space")
     if error.errno in _DENIED:
@@ -33,23 +38,41 @@ def _disk_error(error: OSError, path: Path) -> DiskError:
             "cannot be written (read-only or no permission)", path=path, code="read-only",
             remedy="choose another folder or change its permissions",
         )  # fmt: skip
-    return DiskError(f"cannot be written: {error.strerror or error}", path=path, remedy="choose another folder")
+    reason = error.strerror or error
+    return DiskError(f"cannot be written: {reason}", path=path, remedy="choose another folder")
+
+
+def _named_in(error: OSError, path: Path) -> Path:
+    """The file that the error names, unless that is a hidden name of ours, which means ``path``."""
+    if not isinstance(error.filename, str | bytes) or not error.filename:
+        return path
+    named = Path(os.fsdecode(error.filename))
+    return path if any(part.startswith(f".{path.name}.") for part in named.parts) else named
 
 
 def sync_folder(folder: Path) -> None:
-    """Make renames inside ``folder`` durable."""
+    """Make renames inside ``folder`` durable (where the file system can)."""
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(descriptor)
+    except OSError as error:
+        if error.errno not in _CANNOT_SYNC:
+            raise
     finally:
         os.close(descriptor)
 
 
 def atomic_write_bytes(path: Path, data: bytes) -> None:
-    """Write a file so that a crash leaves either the old one or the new one: temp, fsync, rename, folder fsync."""
+    """Write a file so that a crash leaves the old one or the new one: temp, fsync, rename, folder fsync.
+
+    Raises
+    ------
+    DiskError
+        Disk full, read-only, no permission; whatever was at ``path`` stays.
+    """
     with disk_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-        temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+        temporary = _beside(path, "tmp")
         try:
             with temporary.open("wb") as stream:
                 stream.write(data)
@@ -58,7 +81,8 @@ def atomic_write_bytes(path: Path, data: bytes) -> None:
             temporary.replace(path)
             sync_folder(path.parent)
         finally:
-            temporary.unlink(missing_ok=True)
+            with contextlib.suppress(OSError):
+                temporary.unlink(missing_ok=True)
 
 
 def atomic_write_text(path: Path, text: str) -> None:
@@ -70,7 +94,9 @@ def atomic_write_text(path: Path, text: str) -> None:
 def atomic_folder(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
     """Build a folder aside and move it into place only when the block succeeds.
 
-    Yields the temporary folder to fill. When the block raises, it is removed and whatever was at ``path`` stays.
+    Yields the temporary folder to fill. When the block raises, it is removed and whatever was at ``path``
+    stays. A process killed between the two renames of an overwrite leaves the old folder under a hidden name;
+    the next `atomic_folder` of the same path puts it back first.
 
     Raises
     ------
@@ -79,45 +105,102 @@ def atomic_folder(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
     DiskError
         Writing failed.
     """
-    refuse_existing(path, overwrite=overwrite)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    previous = path.with_name(f".{path.name}.{os.getpid()}.old")
     with disk_errors(path):
-        shutil.rmtree(temporary, ignore_errors=True)
-        temporary.mkdir(parents=True)
+        _restore_abandoned(path)
+    refuse_existing(path, overwrite=overwrite)
+    temporary = _beside(path, "tmp")
     try:
         with disk_errors(path):
+            temporary.mkdir(parents=True)
             yield temporary
-            for file in temporary.rglob("*"):
-                if file.is_file():
-                    with file.open("rb") as stream:
-                        os.fsync(stream.fileno())
-            if path.exists():
-                path.rename(previous)
-            temporary.rename(path)
-            sync_folder(path.parent)
+            _sync_tree(temporary)
+            refuse_existing(path, overwrite=overwrite)  # it may have appeared meanwhile
+            _swap(temporary, path)
+    finally:
+        _remove(temporary)
+
+
+def _swap(temporary: Path, path: Path) -> None:
+    """Move ``temporary`` to ``path``; what was there is removed only once the new one is in place."""
+    previous = _beside(path, "old")
+    try:
+        if os.path.lexists(path):
+            path.rename(previous)
+        temporary.rename(path)
+        sync_folder(path.parent)
     except BaseException:
-        if previous.exists() and not path.exists():
+        if not os.path.lexists(temporary) and os.path.lexists(path):
+            path.rename(temporary)
+        if os.path.lexists(previous):
             previous.rename(path)
         raise
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
-        if path.exists():
-            shutil.rmtree(previous, ignore_errors=True)
+    _remove(previous)
+
+
+def _restore_abandoned(path: Path) -> None:
+    """Put back what a killed process had moved aside for an overwrite that never finished."""
+    if os.path.lexists(path) or not path.parent.is_dir():
+        return
+    prefix = f".{path.name}."
+    for entry in sorted(path.parent.iterdir()):
+        name = entry.name
+        if name.startswith(prefix) and name.endswith(".old") and not _is_running(name[len(prefix) :]):
+            entry.rename(path)
+            return
+
+
+def _is_running(suffix: str) -> bool:
+    """Whether the process that `_beside` names in ``<pid>-<n>.old`` still runs; True when in doubt."""
+    pid = suffix.partition("-")[0]
+    if not pid.isdigit():
+        return True
+    try:
+        os.kill(int(pid), 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except OSError:
+        return True
+    return True
+
+
+def _beside(path: Path, ending: str) -> Path:
+    """A hidden name in the same folder that no other process and no other thread uses."""
+    return path.with_name(f".{path.name}.{os.getpid()}-{next(_SERIAL)}.{ending}")
+
+
+def _sync_tree(folder: Path) -> None:
+    for entry in [folder, *folder.rglob("*")]:
+        if entry.is_symlink():
+            continue
+        if entry.is_dir():
+            sync_folder(entry)
+        elif entry.is_file():
+            with entry.open("rb") as stream:
+                os.fsync(stream.fileno())
+
+
+def _remove(path: Path) -> None:
+    """Remove a file, a link or a folder as far as possible; never raises `OSError`."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path, ignore_errors=True)
+    else:
+        with contextlib.suppress(OSError):
+            path.unlink(missing_ok=True)
 
 
 def refuse_existing(path: Path, *, overwrite: bool) -> None:
     """Raise `BadInput` when ``path`` exists and may not be replaced."""
-    if path.exists() and not overwrite:
-        raise BadInput(
-            "exists already", path=path, code="exists", remedy="give --overwrite, or another --out"
-        )
+    if os.path.lexists(path) and not overwrite:
+        raise BadInput("exists already", path=path, code="exists", remedy="give --overwrite, or another --out")
 
 
 def sha256_file(path: Path) -> str:
-    """Hex SHA-256 of a file's bytes."""
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
+    """Hex SHA-256 of a file's bytes; raises `BadInput` when it cannot be read."""
+    try:
+        with path.open("rb") as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()
+    except OSError as error:
+        raise BadInput(f"cannot be read: {error.strerror}", path=path, remedy="check the path") from None
 
 
 def sha256_files(paths: list[Path]) -> str:

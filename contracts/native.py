@@ -1,7 +1,7 @@
 """Where the native core is switched on and off.
 
-``LFRIG_NATIVE=0`` switches it off at run time; an install without a compiler has none. Either way the NumPy twins
-run. The environment is read at each call, so tests can switch within a process.
+``LFRIG_NATIVE=0`` switches it off at run time; an install without a compiler has none. Either way the NumPy
+twins run. The environment is read at each call, so tests can switch within a process.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """How long work reports progress and warnings, and how it hears of a cancel.
 
-Processing functions take a `Monitor`; the base class does nothing visible, the command line draws bars, the tests
-count. `Monitor.advance` is the one place where a cancel is noticed, so every loop worth a bar is also cancellable.
+Processing functions take a `Monitor`; the base class does nothing visible, the command line draws bars, the
+tests count. `Monitor.advance` is the one place where a cancel is noticed, so every loop worth a bar is also
+cancellable.
 """
 
 from __future__ import annotations

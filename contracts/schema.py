@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from lfrig.contracts.errors import BadInput
 from lfrig.contracts.files import atomic_write_text
@@ -16,6 +17,16 @@ Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Count = Annotated[int, Field(ge=0)]
 PositiveInt = Annotated[int, Field(gt=0)]
+
+
+def _near_before_far(value: tuple[float, float]) -> tuple[float, float]:
+    if value[0] >= value[1]:
+        raise ValueError("must be [near, far] with near < far")
+    return value
+
+
+DepthRange = Annotated[tuple[Positive, Positive], AfterValidator(_near_before_far)]
+"""(near, far) [m]."""
 
 
 class Model(BaseModel):
@@ -47,18 +58,11 @@ class Document(Model):
         if not isinstance(data, dict):
             raise BadInput("is not a JSON object", path=path, remedy=f"it must hold one {cls.NAME} object")
         _check_schema(str(data.get("schema", "")), cls.NAME, cls.MAJOR, path)
+        body = {key: value for key, value in data.items() if key != "schema"}
         try:
-            return cls.model_validate(data)
+            return cls.model_validate(body)
         except ValidationError as error:
-            first = error.errors()[0]
-            field = ".".join(str(part) for part in first["loc"])
-            raise BadInput(
-                first["msg"][0].lower() + first["msg"][1:],
-                path=path,
-                field=field or "document",
-                code="invalid-field",
-                remedy="correct the field, or leave it out if it is not known",
-            ) from None
+            raise _invalid_field(error, path) from None
 
     @classmethod
     def load(cls, path: Path) -> Self:
@@ -66,8 +70,11 @@ class Document(Model):
         return cls.parse(read_json(path), path)
 
     def to_json(self) -> str:
-        """The document as indented JSON, ``schema`` first, unset optional fields left out."""
-        body = self.model_dump(mode="json", by_alias=True, exclude_none=True)
+        """The document as indented JSON, ``schema`` first, unset optional fields left out.
+
+        JSON has no NaN and no infinity: in free-form parts (rows of a benchmark) they become ``null``.
+        """
+        body = _finite(self.model_dump(mode="json", by_alias=True, exclude_none=True))
         body.pop("schema", None)
         return json.dumps({"schema": self.schema_id(), **body}, indent=1, allow_nan=False) + "\n"
 
@@ -77,15 +84,38 @@ class Document(Model):
 
 
 def read_json(path: Path) -> Any:
-    """Decode a JSON file; raises `BadInput` that names it."""
+    """Decode a JSON file (UTF-8, with or without a byte-order mark); raises `BadInput` that names it."""
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
+        return json.loads(path.read_text(encoding="utf-8-sig"))
     except FileNotFoundError:
         raise BadInput("does not exist", path=path, code="missing-file", remedy="check the path") from None
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise BadInput(f"is not valid JSON: {error}", path=path, code="not-json", remedy="restore the file") from None
+    except (ValueError, RecursionError) as error:  # not UTF-8, not JSON, a number or a nesting without end
+        reason = f"is not valid JSON: {error}"
+        raise BadInput(reason, path=path, code="not-json", remedy="restore the file") from None
     except OSError as error:
-        raise BadInput(f"cannot be read: {error.strerror}", path=path, remedy="check the permissions") from None
+        reason = f"cannot be read: {error.strerror}"
+        raise BadInput(reason, path=path, remedy="check the permissions") from None
+
+
+def _invalid_field(error: ValidationError, path: Path | str) -> BadInput:
+    first = error.errors()[0]
+    message = first["msg"].removeprefix("Value error, ")
+    return BadInput(
+        message[:1].lower() + message[1:] if message[1:2].islower() else message,
+        path=path,
+        field=".".join(str(part) for part in first["loc"]) or None,
+        code="invalid-field",
+        remedy="correct the field, or leave it out if it is not known",
+    )
+
+
+def _finite(value: Any) -> Any:
+    """``value`` with every NaN and infinity replaced by None."""
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _check_schema(value: str, name: str, major: int, path: Path | str) -> None:

@@ -30,7 +30,7 @@ class DisparityScore(Model):
 
 
 class LightFieldScore(Model):
-    """PSNR [dB], SSIM over the views without the centre, with it, and over the four corner views; EPI error."""
+    """PSNR [dB], SSIM over the views without the centre, with it, and over the corner views; EPI error."""
 
     psnr: Finite
     ssim: Finite

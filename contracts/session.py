@@ -4,10 +4,20 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator
 
 from lfrig.contracts.capture import PoseSpec
-from lfrig.contracts.schema import Document, Model, NonNegative, Positive
+from lfrig.contracts.schema import DepthRange, Document, Model, NonNegative
+
+_NOT_IN_ID = set("/\\,\0\n\r")
+"""Separators of paths, of lists on the command line, of lines."""
+
+
+def check_capture_id(name: str) -> str:
+    """Return ``name`` when it can be a capture's id, a visible plain folder name; else raise `ValueError`."""
+    if not name or name != name.strip() or name.startswith(".") or _NOT_IN_ID & set(name):
+        raise ValueError(f"capture id {name!r} is not a plain folder name")
+    return name
 
 
 class CameraMount(Model):
@@ -29,7 +39,7 @@ class RigSpec(Model):
     cameras: RigCameras = Field(default_factory=RigCameras)
     camera_from_plate: PoseSpec | None = None
     turntable_sigma_deg: NonNegative | None = None
-    depth_range_m: tuple[Positive, Positive] | None = None
+    depth_range_m: DepthRange | None = None
 
     def light_field_mount(self) -> PoseSpec | None:
         """Pose of the light-field camera to the plate, from either spelling."""
@@ -49,11 +59,11 @@ class SessionDocument(Document):
     captures: list[str] = Field(default_factory=list)
     rig: RigSpec = Field(default_factory=RigSpec)
 
-    @model_validator(mode="after")
-    def _ids_are_plain(self) -> SessionDocument:
-        for name in self.captures:
-            if not name or name in {".", ".."} or "/" in name or "\\" in name:
-                raise ValueError(f"capture id {name!r} is not a plain folder name")
-        if len(set(self.captures)) != len(self.captures):
+    @field_validator("captures")
+    @classmethod
+    def _ids_are_plain(cls, value: list[str]) -> list[str]:
+        for name in value:
+            check_capture_id(name)
+        if len(set(value)) != len(value):
             raise ValueError("the same capture id is listed twice")
-        return self
+        return value
