@@ -1,0 +1,41 @@
+# Everything here works on a fresh clone with Python 3.11+, g++ and CMake; without the last two the NumPy twins run.
+PYTHON ?= python3
+VENV ?= .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+NATIVE := $(wildcard processing/kernels/*.cpp sim/*.cpp sim/*.hpp native/lfrig/*.hpp)
+PYTEST_ARGS ?= -n 2
+
+.PHONY: install demo test lint bench wheel clean
+
+install: $(STAMP)
+
+$(STAMP): pyproject.toml constraints.txt CMakeLists.txt $(NATIVE)
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet -c constraints.txt -e '.[dev]'
+	touch $@
+
+demo: $(STAMP)
+	$(BIN)/lfrig demo --out demo --overwrite
+
+test: $(STAMP)
+	$(BIN)/python -m pytest $(PYTEST_ARGS)
+
+lint: $(STAMP)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	PYTHONPATH=.types $(BIN)/lint-imports
+
+bench: $(STAMP)
+	$(BIN)/lfrig bench accuracy --out out/bench
+	$(BIN)/lfrig bench pareto --out out/bench
+	$(BIN)/lfrig bench stress --out out/bench
+
+wheel: $(STAMP)
+	rm -rf dist
+	$(BIN)/python -m build --wheel --outdir dist .
+	.ci/wheel-smoke dist/*.whl constraints.txt
+
+clean:
+	rm -rf $(VENV) build dist demo out
