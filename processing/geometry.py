@@ -7,7 +7,6 @@ Numerics: the relative pose is formed before anything is rounded to float32, so 
 from __future__ import annotations
 
 import numpy as np
-
 from lfrig.processing.model import F32, F64, Camera, Pose
 
 
@@ -60,7 +59,7 @@ def project(matrix: F64, offset: F64, xs: F32, ys: F32, inverse_depth: F32) -> t
 def world_points(camera: Camera, pose: Pose, xy: F64, depth_m: F64) -> F64:
     """Back-project pixels [N, 2] at depths [N] to world points [N, 3]."""
     rays = np.c_[(xy - [camera.cx, camera.cy]) / camera.focal_px, np.ones(len(xy))]
-    return (rays * depth_m[:, None] - pose.translation) @ pose.rotation
+    return np.asarray((rays * depth_m[:, None] - pose.translation) @ pose.rotation, np.float64)
 
 
 def project_points(camera: Camera, pose: Pose, world: F64) -> tuple[F64, F64]:

@@ -12,9 +12,8 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
-
 from lfrig.contracts.errors import BadInput
+from numpy.typing import NDArray
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -70,12 +69,12 @@ class Pose:
     @property
     def centre(self) -> F64:
         """The camera's centre of projection in the world, −Rᵀt [3]."""
-        return -self.rotation.T @ self.translation
+        return np.asarray(-self.rotation.T @ self.translation, np.float64)
 
     @property
     def direction(self) -> F64:
         """The optical axis in the world, unit vector [3]."""
-        return self.rotation[2]
+        return np.asarray(self.rotation[2], np.float64)
 
 
 @dataclass(frozen=True)
@@ -118,12 +117,12 @@ class LightField:
     @property
     def height(self) -> int:
         """Height of a view [px]."""
-        return self.views.shape[2]
+        return int(self.views.shape[2])
 
     @property
     def width(self) -> int:
         """Width of a view [px]."""
-        return self.views.shape[3]
+        return int(self.views.shape[3])
 
     @property
     def centre_index(self) -> tuple[int, int]:
@@ -156,7 +155,7 @@ class Photo:
     @property
     def image8(self) -> U8:
         """The photo as uint8 [H, W, 3], what matching and synthesis see."""
-        return self.image if self.image.dtype == np.uint8 else (self.image >> 8).astype(np.uint8)
+        return self.image.astype(np.uint8, copy=False) if self.image.itemsize == 1 else (self.image >> 8).astype(np.uint8)
 
 
 @dataclass(frozen=True)
@@ -190,7 +189,7 @@ class Evidence:
     @property
     def planes(self) -> int:
         """Number of disparity planes D."""
-        return self.probability.shape[2]
+        return int(self.probability.shape[2])
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,6 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-
 from lfrig.contracts.errors import BadInput, NotInThisVersion, UsageError
 from lfrig.contracts.native import load_native
 from lfrig.contracts.progress import Monitor, Notice
@@ -256,9 +255,7 @@ def _fit_sources(
     return ready
 
 
-def _depth_range(
-    working: Sequence[LightField], prior: RigPrior, solution: PoseSolution
-) -> tuple[float, float] | None:
+def _depth_range(working: Sequence[LightField], prior: RigPrior, solution: PoseSolution) -> tuple[float, float] | None:
     """The rig's depth range, only when the result is metric."""
     if not solution.metric:
         return None

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
-
 from lfrig.processing.model import F32, U8
+from numpy.typing import NDArray
 
 
 def local_planes(

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-
 from lfrig.contracts.progress import Monitor
 from lfrig.processing.fusion import FusedVolume
 from lfrig.processing.kernels.sgm import aggregate
@@ -60,9 +59,7 @@ def regularise(
     evidence = volume.evidence if volume.is_log else np.log(np.maximum(volume.evidence, np.float32(1e-6)))
     cost = evidence.max(2, keepdims=True) - evidence
     np.minimum(cost, np.float32(settings.cap), out=cost)
-    total = aggregate(
-        cost, photo, settings.p1, settings.p2, settings.edge_grey, threads=threads, monitor=monitor
-    )
+    total = aggregate(cost, photo, settings.p1, settings.p2, settings.edge_grey, threads=threads, monitor=monitor)
     del cost
     total *= np.float32(-settings.sharpness)
     index, peak = _regress(total, True, settings)

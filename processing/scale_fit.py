@@ -9,11 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
-
 from lfrig.contracts.errors import GeometryRefused
 from lfrig.contracts.progress import Monitor
 from lfrig.processing.model import F32, F64, Anchors, Camera, Evidence, LightField, ScaleFit
+from numpy.typing import NDArray
 
 MIN_ANCHORS = 8
 
@@ -58,7 +57,7 @@ def fit_affine(disparity: F64, inverse_depth: F64, *, iterations: int = 50) -> S
         raise _refusal("flat-anchors", "all anchors have the same disparity", "")
     slope, offset = _least_median_start(disparity, inverse_depth)
     floor = 1e-9 * float(np.abs(inverse_depth).max() + 1e-12)
-    weights = np.ones(len(disparity))
+    weights: F64 = np.ones(len(disparity))
     for _ in range(iterations):
         residual = inverse_depth - (slope * disparity + offset)
         scale = 1.4826 * float(np.median(np.abs(residual))) + floor
@@ -111,7 +110,9 @@ def fit_paper(plane_index: F64, depth_m: F64, *, iterations: int = 7) -> tuple[f
     return float(solution[0]), float(solution[1])
 
 
-def anchor_disparities(anchors: Anchors, evidence: Evidence, settings: ScaleFitSettings) -> tuple[F64, NDArray[np.bool_]]:
+def anchor_disparities(
+    anchors: Anchors, evidence: Evidence, settings: ScaleFitSettings
+) -> tuple[F64, NDArray[np.bool_]]:
     """Disparity of each anchor, read from the windowed peak map (bilinear), float64 [N], and which are usable.
 
     Anchors at the border, at unconfident pixels and across disparity steps (where bilinear mixes two surfaces) are
@@ -125,9 +126,7 @@ def anchor_disparities(anchors: Anchors, evidence: Evidence, settings: ScaleFitS
     yi = np.clip(np.where(inside, y, 0), 0, height - 1.001)
     ix, iy = np.minimum(xi.astype(np.int64), width - 2), np.minimum(yi.astype(np.int64), height - 2)
     fx, fy = xi - ix, yi - iy
-    corners = np.stack(
-        [evidence.disparity[iy + dy, ix + dx].astype(np.float64) for dy in (0, 1) for dx in (0, 1)]
-    )
+    corners = np.stack([evidence.disparity[iy + dy, ix + dx].astype(np.float64) for dy in (0, 1) for dx in (0, 1)])
     weights = np.stack([(1 - fy) * (1 - fx), (1 - fy) * fx, fy * (1 - fx), fy * fx])
     confidence = np.minimum(evidence.confidence[iy, ix], evidence.confidence[iy + 1, ix + 1])
     smooth = np.ptp(corners, axis=0) < 4 * evidence.planes_px[1]
@@ -177,12 +176,15 @@ def scale_from_optics(light_field: LightField, camera: Camera) -> ScaleFit | Non
 
 
 def _fit_checked(
-    name: str, disparity: F64, inverse_depth: F64, evidence: Evidence, settings: ScaleFitSettings, known: ScaleFit | None
+    name: str,
+    disparity: F64,
+    inverse_depth: F64,
+    evidence: Evidence,
+    settings: ScaleFitSettings,
+    known: ScaleFit | None,
 ) -> ScaleFit:
     if len(disparity) < MIN_ANCHORS:
-        raise _refusal(
-            "too-few-anchors", f"only {len(disparity)} usable anchors, {MIN_ANCHORS} are needed", name
-        )
+        raise _refusal("too-few-anchors", f"only {len(disparity)} usable anchors, {MIN_ANCHORS} are needed", name)
     if settings.form == "paper":
         return _paper_as_affine(disparity, inverse_depth, evidence)
     spread = float(np.subtract(*np.quantile(disparity, [0.9, 0.1])))

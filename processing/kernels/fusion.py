@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-
 from lfrig.contracts.native import load_native
 from lfrig.contracts.progress import Monitor
 from lfrig.processing.model import F32, F64, Evidence, ScaleFit
@@ -70,18 +69,26 @@ def add_evidence(
     w0, dw = planes
     native = load_native(_NATIVE)
     if native is None:
-        return _add_numpy(
-            volume, mass, evidence, scale, matrix, offset, planes, pool, weight, margin_px, monitor
-        )
+        return _add_numpy(volume, mass, evidence, scale, matrix, offset, planes, pool, weight, margin_px, monitor)
     numbers = np.concatenate(
         [matrix.ravel(), offset, [scale.a, scale.c, *evidence.planes_px, weight, margin_px]]
     ).astype(np.float32)
     empty = np.empty((0, 0, 0), np.float32)
     return int(
         native.fuse_add(
-            evidence.probability, evidence.disparity, numbers, w0, dw, pool.floor_share, pool.log_pool,
-            pool.visibility, pool.literal, volume, empty if mass is None else mass, threads,
-        )  # fmt: skip
+            evidence.probability,
+            evidence.disparity,
+            numbers,
+            w0,
+            dw,
+            pool.floor_share,
+            pool.log_pool,
+            pool.visibility,
+            pool.literal,
+            volume,
+            empty if mass is None else mass,
+            threads,
+        )
     )
 
 
@@ -160,7 +167,9 @@ def _trilinear(volume: np.ndarray[tuple[int, int, int], np.dtype[np.uint16]], u:
     return np.where(valid, value, 0).astype(np.float32)
 
 
-def first_surface(volume: F32, neutral: float, gap: int, tau: float, beta: float, cap: float, *, threads: int = 0) -> None:
+def first_surface(
+    volume: F32, neutral: float, gap: int, tau: float, beta: float, cap: float, *, threads: int = 0
+) -> None:
     """Lower, in place, the evidence of planes that lie behind strong nearer evidence.
 
     Plane k pays ``min(cap, β·max(0, max_{j ≥ k+gap} (V[j] − neutral) − τ))``: a wall behind an object can be supported

@@ -6,11 +6,12 @@ a = −1/2) and the border replicated. C++ form: ``warp.cpp``.
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
+from typing import cast
 
+import numpy as np
 from lfrig.contracts.native import load_native
 from lfrig.processing.model import F32, Image
+from numpy.typing import NDArray
 
 
 def warp_views(image: Image, fields: F32, offsets: F32, *, threads: int = 0) -> Image:
@@ -33,7 +34,7 @@ def warp_views(image: Image, fields: F32, offsets: F32, *, threads: int = 0) -> 
         raise ValueError(f"shapes do not match: image {image.shape}, fields {fields.shape}, offsets {offsets.shape}")
     native = load_native("lfrig.processing.kernels._native")
     if native is None:
-        return np.stack([warp_view_numpy(image, fields[v], *map(float, offsets[v])) for v in range(views)])
+        return cast(Image, np.stack([warp_view_numpy(image, fields[v], *map(float, offsets[v])) for v in range(views)]))
     out = np.empty((views, *image.shape), image.dtype)
     native.warp_views(
         np.ascontiguousarray(image),
@@ -63,7 +64,7 @@ def warp_view_numpy(image: Image, field: F32, dr: float, dc: float) -> Image:
             part += wx[i][..., None] * image[rows, cols]
         total += wy[j][..., None] * part
     limit = 255 if image.dtype == np.uint8 else 65535
-    return (np.clip(total, 0, limit) + np.float32(0.5)).astype(image.dtype)
+    return cast(Image, (np.clip(total, 0, limit) + np.float32(0.5)).astype(image.dtype))
 
 
 def _cubic_weights(t: NDArray[np.float32]) -> list[NDArray[np.float32]]:
