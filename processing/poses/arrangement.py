@@ -1,0 +1,199 @@
+"""How the cameras of a shoot hang together: what is shared, what may move, and by how much it is expected to.
+
+View v sees ``X_c = wobble_v ∘ correction_g ∘ mount_g ∘ Rz(angle_v + turn_v) X``, with mount g shared by all views of
+one standing camera. A view with a pose of its own is a mount that nobody shares. Every parameter has a Gaussian prior
+around zero, whose sigma the calibration knows; a sigma of zero holds it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lfrig.processing.geometry import rotation_z
+from lfrig.processing.model import F64, Camera, Pose
+
+LOCAL = 7
+"""Parameters that a residual of one view sees: rotation (3) and translation (3) applied on the left, log focal."""
+
+TURN_BREAK = 4.0
+"""Beyond this many sigmas a turntable angle counts as a blunder and loses its pull (Cauchy)."""
+
+
+@dataclass(frozen=True)
+class Viewpoint:
+    """One view: its camera (with ``sigma_focal``), its mount, the plate's angle, and how far it may stray."""
+
+    camera: Camera
+    mount: int
+    angle_deg: float = 0.0
+    sigma_angle_deg: float = 0.0
+    sigma_wobble_deg: float = 0.0
+    sigma_wobble_m: float = 0.0
+
+
+@dataclass(frozen=True)
+class Arrangement:
+    """The prior: poses of the mounts (with sigmas) and the views on them. Parameters are one vector:
+    mount corrections [6 G], turns [V] (rad), wobbles [6 V], log focals [V].
+    """
+
+    mounts: tuple[Pose, ...]
+    views: tuple[Viewpoint, ...]
+
+    @property
+    def size(self) -> int:
+        """Number of parameters, held ones included."""
+        return 6 * len(self.mounts) + 8 * len(self.views)
+
+    @property
+    def turns(self) -> slice:
+        """Where the turns are."""
+        start = 6 * len(self.mounts)
+        return slice(start, start + len(self.views))
+
+    @property
+    def log_focals(self) -> slice:
+        """Where the logarithms of the focal corrections are."""
+        return slice(self.size - len(self.views), self.size)
+
+    def wobble(self, view: int) -> slice:
+        """Where the wobble of a view is."""
+        start = self.turns.stop + 6 * view
+        return slice(start, start + 6)
+
+    def sigmas(self) -> F64:
+        """Standard deviation of every parameter, float64 [size]; 0 = held."""
+        sigma = np.zeros(self.size)
+        for g, mount in enumerate(self.mounts):
+            sigma[6 * g : 6 * g + 6] = [np.deg2rad(mount.sigma_deg)] * 3 + [mount.sigma_m] * 3
+        for v, view in enumerate(self.views):
+            sigma[self.turns.start + v] = np.deg2rad(view.sigma_angle_deg)
+            sigma[self.wobble(v)] = [np.deg2rad(view.sigma_wobble_deg)] * 3 + [view.sigma_wobble_m] * 3
+            sigma[self.log_focals.start + v] = view.camera.sigma_focal
+        return sigma
+
+    def precision(self, x: F64, sigma: F64) -> F64:
+        """1/σ² of the prior on every free parameter at x [n]; a turn far outside its sigma pulls less."""
+        weight = 1 / sigma**2
+        turns = self.turns
+        weight[turns] /= 1 + (x[turns] / (TURN_BREAK * sigma[turns])) ** 2
+        return weight
+
+    def prior_cost(self, x: F64, sigma: F64) -> float:
+        """What the parameters' distance from the prior costs, in units of half-squared sigmas times two."""
+        free = sigma > 0
+        squared = np.zeros(len(x))
+        squared[free] = (x[free] / sigma[free]) ** 2
+        turns = self.turns
+        squared[turns] = TURN_BREAK**2 * np.log1p(squared[turns] / TURN_BREAK**2)
+        return float(squared.sum())
+
+    def poses(self, x: F64) -> tuple[Pose, ...]:
+        """Camera poses at parameters x."""
+        return tuple(self._chain(x, v)[-1] for v in range(len(self.views)))
+
+    def cameras(self, x: F64) -> tuple[Camera, ...]:
+        """Cameras at parameters x."""
+        scale = np.exp(x[self.log_focals])
+        return tuple(
+            replace(view.camera, focal_px=view.camera.focal_px * float(s))
+            for view, s in zip(self.views, scale, strict=True)
+        )
+
+    def _chain(self, x: F64, v: int) -> tuple[Pose, Pose]:
+        """Pose of view v before its wobble, and with it."""
+        view = self.views[v]
+        mount, g = self.mounts[view.mount], view.mount
+        corrected = moved(x[6 * g : 6 * g + 6], mount)
+        turn = rotation_z(np.deg2rad(view.angle_deg) + x[self.turns.start + v])
+        before = Pose(corrected.rotation @ turn, corrected.translation)
+        return before, moved(x[self.wobble(v)], before)
+
+    def local_derivative(self, x: F64) -> F64:
+        """Motion of each view's local parameters with x, float64 [V, LOCAL, size]."""
+        table = np.zeros((len(self.views), LOCAL, self.size))
+        for v, view in enumerate(self.views):
+            wobble = x[self.wobble(v)]
+            before, after = self._chain(x, v)
+            lift = adjoint(wobble)
+            correction = slice(6 * view.mount, 6 * view.mount + 6)
+            table[v, :6, correction] = lift @ motion_derivative(x[correction])
+            axis = before.rotation[:, 2]
+            table[v, :6, self.turns.start + v] = lift @ np.r_[axis, -np.cross(axis, before.translation)]
+            table[v, :6, self.wobble(v)] = motion_derivative(wobble)
+            table[v, 6, self.log_focals.start + v] = 1.0
+            del after
+        return table
+
+    def start_at(self, x: F64, view: int, pose: Pose) -> F64:
+        """x with the mount correction that puts ``view``, alone on its mount, at ``pose``."""
+        if sum(other.mount == self.views[view].mount for other in self.views) != 1:
+            raise ValueError("the mount is shared")
+        x = x.copy()
+        g = self.views[view].mount
+        x[6 * g : 6 * g + 6] = 0
+        x[self.wobble(view)] = 0
+        before = self._chain(x, view)[0]
+        turn = pose.rotation @ before.rotation.T
+        x[6 * g : 6 * g + 6] = np.r_[rotation_vector(turn), pose.translation - turn @ before.translation]
+        return x
+
+
+def skew(v: F64) -> F64:
+    """[v]× with ``skew(v) @ p = v × p``."""
+    return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
+
+
+def rotation_matrix(vector: F64) -> F64:
+    """Rodrigues' formula: rotation by |vector| rad about it."""
+    angle = float(np.linalg.norm(vector))
+    s = skew(vector)
+    if angle < 1e-4:
+        # Series of sin(a)/a and (1 − cos a)/a²: the quotients lose their digits here.
+        return np.eye(3) + (1 - angle**2 / 6) * s + (0.5 - angle**2 / 24) * s @ s
+    return np.asarray(np.eye(3) + np.sin(angle) / angle * s + (1 - np.cos(angle)) / angle**2 * s @ s, np.float64)
+
+
+def rotation_vector(rotation: F64) -> F64:
+    """Inverse of `rotation_matrix` for angles below 180°."""
+    import cv2
+
+    return np.asarray(cv2.Rodrigues(rotation)[0], np.float64).reshape(3)
+
+
+def moved(motion: F64, pose: Pose) -> Pose:
+    """The pose after ``X → rotation_matrix(motion[:3]) X + motion[3:]`` in the camera's frame."""
+    turn = rotation_matrix(motion[:3])
+    return Pose(turn @ pose.rotation, turn @ pose.translation + motion[3:])
+
+
+def adjoint(motion: F64) -> F64:
+    """[6, 6]: a small left motion before ``motion`` as a small left motion after it."""
+    turn = rotation_matrix(motion[:3])
+    table = np.zeros((6, 6))
+    table[:3, :3] = table[3:, 3:] = turn
+    table[3:, :3] = skew(motion[3:]) @ turn
+    return table
+
+
+def motion_derivative(motion: F64) -> F64:
+    """[6, 6]: change of ``motion``'s six numbers as a small left motion after it (left Jacobian of SO(3))."""
+    w = motion[:3]
+    angle = float(np.linalg.norm(w))
+    s = skew(w)
+    if angle < 1e-4:
+        left = np.eye(3) + 0.5 * s + s @ s / 6
+    else:
+        left = np.eye(3) + (1 - np.cos(angle)) / angle**2 * s + (angle - np.sin(angle)) / angle**3 * s @ s
+    table = np.eye(6)
+    table[:3, :3] = left
+    table[3:, :3] = skew(motion[3:]) @ left
+    return table
+
+
+def free_view(camera: Camera, mounts: Sequence[Pose]) -> Viewpoint:
+    """A view on a mount of its own, the next after ``mounts``."""
+    return Viewpoint(camera, len(mounts))

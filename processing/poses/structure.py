@@ -1,0 +1,155 @@
+"""Points and poses together: match, triangulate, adjust, and match again where the solved geometry says to look."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfrig.contracts.progress import Monitor
+from lfrig.processing.model import F64, Camera, Pose
+from lfrig.processing.poses.adjust import Reprojection, adjust
+from lfrig.processing.poses.arrangement import Arrangement
+from lfrig.processing.poses.features import Features
+from lfrig.processing.poses.matching import Matches, epipolar_gate, match_features
+from lfrig.processing.poses.tracks import Observations, Pair, build_tracks
+from lfrig.processing.poses.triangulate import ray_angle_deg, reproject, triangulate
+
+FINE_SCALE_PX = 2.0
+"""Up to this keypoint scale SIFT's position error is constant; beyond, it grows in proportion (measured)."""
+
+NOISE_BOUNDS_PX = (0.08, 1.0)
+REJECT_SIGMAS = 4.0
+MIN_RAY_ANGLE_DEG = 2.0
+BAND_SIGMAS = 8.0
+
+
+@dataclass(frozen=True)
+class Structure:
+    """Solved geometry: parameters of an arrangement, sightings, their points [N, 3], and how well they agree.
+
+    ``noise_px`` is the robust standard deviation of one coordinate of a fine-scale keypoint.
+    """
+
+    arrangement: Arrangement
+    parameters: F64
+    seen: Observations
+    points: F64
+    noise_px: float
+    covariance: F64
+
+    @property
+    def poses(self) -> tuple[Pose, ...]:
+        """Camera pose of every view."""
+        return self.arrangement.poses(self.parameters)
+
+    @property
+    def cameras(self) -> tuple[Camera, ...]:
+        """Camera of every view."""
+        return self.arrangement.cameras(self.parameters)
+
+
+def coarseness(seen: Observations) -> F64:
+    """Position error of each sighting relative to a fine-scale keypoint's [M]."""
+    return np.maximum(1.0, seen.scale / FINE_SCALE_PX)
+
+
+def noise_of(residual: F64, seen: Observations) -> float:
+    """Robust standard deviation [px] of one coordinate, corrected for what the points absorbed (degrees of freedom)."""
+    if not len(seen):
+        return NOISE_BOUNDS_PX[1]
+    squared = (residual**2).sum(1) / coarseness(seen) ** 2
+    spare = max(2 * len(seen) - 3 * seen.count, 1) / (2 * len(seen))
+    # The median of a squared 2-D residual with 2·spare degrees of freedom is about its mean times 0.69 … 0.45.
+    return float(np.clip(np.sqrt(np.median(squared) / (2 * spare * 0.6)), *NOISE_BOUNDS_PX))
+
+
+def gate_sightings(
+    cameras: Sequence[Camera],
+    poses: Sequence[Pose],
+    seen: Observations,
+    points: F64,
+    noise_px: float,
+    depth_range_m: tuple[float, float],
+) -> NDArray[np.bool_]:
+    """Sightings [M] that fit: small residual, depth in range, and a point whose rays meet at a usable angle."""
+    residual, depth = reproject(cameras, poses, seen, points)
+    error = np.linalg.norm(residual, axis=1) / coarseness(seen)
+    near, far = depth_range_m
+    good = (error < REJECT_SIGMAS * noise_px) & (depth > near) & (depth < far)
+    return np.asarray(good & (ray_angle_deg(poses, seen, points) > MIN_RAY_ANGLE_DEG)[seen.point], np.bool_)
+
+
+def refine(
+    arrangement: Arrangement,
+    start: F64,
+    seen: Observations,
+    depth_range_m: tuple[float, float],
+    noise_schedule_px: Sequence[float],
+    monitor: Monitor,
+) -> Structure:
+    """Triangulate and adjust with a falling noise level, so that a poor start loses its outliers step by step.
+
+    After the schedule the level is what the residuals say.
+    """
+    x = start
+    covariance = np.zeros((arrangement.size, arrangement.size))
+    noise = noise_schedule_px[0]
+    points = triangulate(arrangement.cameras(x), arrangement.poses(x), seen)
+    for level in (*noise_schedule_px, None):
+        if level is None:
+            residual, _ = reproject(arrangement.cameras(x), arrangement.poses(x), seen, points)
+            noise = noise_of(residual, seen)
+        else:
+            noise = level
+        good = gate_sightings(arrangement.cameras(x), arrangement.poses(x), seen, points, noise, depth_range_m)
+        seen, kept = seen.keep(good)
+        points = points[kept]
+        if not seen.count:
+            break
+        result = adjust(arrangement, x, points, [Reprojection(seen, noise * coarseness(seen))])
+        x, points, covariance = result.parameters, result.points, result.covariance
+        monitor.advance(0)
+    return Structure(arrangement, x, seen, points, noise, covariance)
+
+
+def match_again(
+    structure: Structure,
+    features: Sequence[Features],
+    pairs: Sequence[Pair],
+    depth_range_m: tuple[float, float],
+    monitor: Monitor,
+) -> dict[Pair, Matches]:
+    """Matches inside the band that the solved geometry leaves: more of them, and fewer false ones."""
+    cameras, poses = structure.cameras, structure.poses
+    band = max(1.0, BAND_SIGMAS * structure.noise_px)
+    matches = {}
+    for i, j in pairs:
+        gate = epipolar_gate(
+            features[i], features[j], (cameras[i], cameras[j]), (poses[i], poses[j]), depth_range_m, band
+        )
+        matches[i, j] = match_features(features[i], features[j], gate)
+        monitor.advance()
+    return matches
+
+
+def solve_structure(
+    arrangement: Arrangement,
+    start: F64,
+    features: Sequence[Features],
+    matches: Mapping[Pair, Matches],
+    depth_range_m: tuple[float, float],
+    monitor: Monitor,
+    noise_schedule_px: Sequence[float] = (16.0, 4.0, 1.0),
+) -> Structure:
+    """From matches of pairs and prior poses to refined poses and gated points: adjust, match again, adjust."""
+    wide = (depth_range_m[0] / 1.5, depth_range_m[1] * 1.5)
+    first = refine(arrangement, start, build_tracks(features, matches), wide, noise_schedule_px, monitor)
+    again = match_again(first, features, list(matches), depth_range_m, monitor)
+    seen = build_tracks(features, again)
+    final = refine(arrangement, first.parameters, seen, depth_range_m, (max(first.noise_px, 0.25),), monitor)
+    good = gate_sightings(final.cameras, final.poses, final.seen, final.points, final.noise_px, depth_range_m)
+    seen, kept = final.seen.keep(good)
+    return replace(final, seen=seen, points=final.points[kept])

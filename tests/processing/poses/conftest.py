@@ -1,0 +1,206 @@
+"""A small textured scene on a turntable, ray-cast in NumPy: exact poses and depths, no simulator needed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pytest
+from lfrig.processing import geometry
+from lfrig.processing.model import Camera, Evidence, LightField, Optics, Photo, Pose, RigPrior
+
+FOCUS_M = 0.46
+BASELINE_TIMES_FOCAL = 0.7
+
+
+@dataclass(frozen=True)
+class Rectangle:
+    """``corner + a·u + b·v`` for a, b in 0..1, with a texture stretched over it."""
+
+    corner: np.ndarray
+    u: np.ndarray
+    v: np.ndarray
+    texture: np.ndarray
+
+
+def texture(seed: int, size: int = 256) -> np.ndarray:
+    """Band-limited noise with detail at every scale, float32 [size, size, 3] 0..255."""
+    import cv2
+
+    rng = np.random.default_rng(seed)
+    total = np.zeros((size, size, 3), np.float32)
+    for octave in range(1, size.bit_length() - 1):
+        coarse = rng.normal(size=(2**octave + 3, 2**octave + 3, 3)).astype(np.float32)
+        total += cv2.resize(coarse, (size, size), interpolation=cv2.INTER_CUBIC) / octave
+    return np.clip(total / total.std() * 45 + 128, 0, 255)
+
+
+def box(centre: tuple[float, float], size: tuple[float, float, float], yaw_deg: float, seed: int) -> list[Rectangle]:
+    """The four sides and the top of a box that stands on the plate."""
+    yaw = np.deg2rad(yaw_deg)
+    x, y = np.array([np.cos(yaw), np.sin(yaw), 0]) * size[0], np.array([-np.sin(yaw), np.cos(yaw), 0]) * size[1]
+    z, o = np.array([0, 0, size[2]]), np.array([*centre, 0.0])
+    o = o - x / 2 - y / 2
+    faces = [(o, x, z), (o + y, x, z), (o, y, z), (o + x, y, z), (o + z, x, y)]
+    return [Rectangle(*f, texture(seed * 10 + i)) for i, f in enumerate(faces)]
+
+
+def still_life(seed: int = 0) -> list[Rectangle]:
+    """Three boxes on a textured plate."""
+    plate = Rectangle(np.array([-0.2, -0.2, 0]), np.array([0.4, 0, 0]), np.array([0, 0.4, 0]), texture(seed + 7, 512))
+    return [
+        plate,
+        *box((0.03, -0.02), (0.06, 0.05, 0.08), 20, seed + 1),
+        *box((-0.05, 0.02), (0.05, 0.05, 0.05), -35, seed + 2),
+        *box((0.0, 0.08), (0.12, 0.03, 0.11), 5, seed + 3),
+    ]
+
+
+def render(scene: list[Rectangle], camera: Camera, pose: Pose, samples: int = 2) -> tuple[np.ndarray, np.ndarray]:
+    """Image uint8 [H, W, 3] and depth float64 [H, W] along the optical axis (inf where nothing is hit)."""
+    import cv2
+
+    h, w = camera.height, camera.width
+    offsets = (np.arange(samples) + 0.5) / samples - 0.5
+    image = np.zeros((h, w, 3), np.float32)
+    for dy in (*offsets, None):
+        for dx in offsets if dy is not None else (0.0,):
+            ys, xs = np.mgrid[0:h, 0:w].astype(float)
+            rays = np.stack([xs + dx - camera.cx, ys + (dy or 0.0) - camera.cy], -1) / camera.focal_px
+            rays = np.concatenate([rays, np.ones((h, w, 1))], -1) @ pose.rotation
+            depth, colour = np.full((h, w), np.inf), np.full((h, w, 3), 40, np.float32)
+            for r in scene:
+                normal = np.cross(r.u, r.v)
+                with np.errstate(divide="ignore", invalid="ignore"):
+                    t = (r.corner - pose.centre) @ normal / (rays @ normal)
+                    hit = pose.centre + rays * t[..., None] - r.corner
+                a, b = hit @ r.u / (r.u @ r.u), hit @ r.v / (r.v @ r.v)
+                seen = (t > 0) & (t < depth) & (a >= 0) & (a <= 1) & (b >= 0) & (b <= 1)
+                if not seen.any():
+                    continue
+                depth[seen] = t[seen]
+                size = r.texture.shape[0] - 1
+                a, b = (np.where(seen, c * size, 0).astype(np.float32) for c in (a, b))
+                colour[seen] = cv2.remap(r.texture, a, b, cv2.INTER_LINEAR)[seen]
+            if dy is None:
+                return np.clip(image / samples**2 + 0.5, 0, 255).astype(np.uint8), depth
+            image += colour
+    raise AssertionError("unreachable")
+
+
+def mount(elevation_deg: float = 25.0, radius_m: float = 0.46, look_z_m: float = 0.04, **sigmas: float) -> Pose:
+    """Camera that looks at the axis of the plate from ``radius_m`` away."""
+    e = np.deg2rad(elevation_deg)
+    centre = np.array([0, -radius_m * np.cos(e), look_z_m + radius_m * np.sin(e)])
+    z = np.array([0, 0, look_z_m]) - centre
+    z /= np.linalg.norm(z)
+    x = np.cross(z, [0, 0, 1.0])
+    x /= np.linalg.norm(x)
+    rotation = np.stack([x, np.cross(z, x), z])
+    return Pose(rotation, -rotation @ centre, **sigmas)
+
+
+def disturbed(pose: Pose, rng: np.random.Generator, sigma_deg: float, sigma_m: float) -> Pose:
+    """The pose as a calibration with these errors would report it, with the sigmas written into it."""
+    import cv2
+
+    turn = cv2.Rodrigues(rng.normal(0, np.deg2rad(sigma_deg), 3))[0]
+    return Pose(turn @ pose.rotation, turn @ pose.translation + rng.normal(0, sigma_m, 3), sigma_deg, sigma_m)
+
+
+@dataclass
+class Shoot:
+    """A simulated shoot: what the pose stage is given, and beside it the truth."""
+
+    sources: list[LightField]
+    evidence: list[Evidence]
+    target: Photo
+    prior: RigPrior
+    true_poses: list[Pose]
+    true_cameras: list[Camera]
+    depths: list[np.ndarray]
+    true_target_pose: Pose
+    true_target_camera: Camera
+    target_depth: np.ndarray
+    extra: dict = field(default_factory=dict)
+
+    def arguments(self) -> tuple:
+        """The leading arguments of `solve_poses`."""
+        return self.sources, self.evidence, self.target, self.prior
+
+
+def shoot(
+    angles_deg: tuple[float, ...] = (-15.0, 0.0, 15.0),
+    target_deg: float = 6.0,
+    *,
+    width: int = 240,
+    height: int = 168,
+    seed: int = 0,
+    scene: list[Rectangle] | None = None,
+    noise: float = 1.0,
+    sigma_angle_deg: float = 0.3,
+    sigma_mount_deg: float = 1.0,
+    sigma_mount_m: float = 0.0046,
+    sigma_focal: float = 0.0,
+    given: bool = False,
+) -> Shoot:
+    """Shoot the scene at the plate angles; the priors are off by draws from their sigmas."""
+    rng = np.random.default_rng(seed)
+    scene = still_life() if scene is None else scene
+    scale = width / 541
+    lf_mount, photo_mount = mount(), mount(29.0, 0.5, 0.035)
+    sources, evidence, poses, cameras, depths = [], [], [], [], []
+    for k, angle in enumerate(angles_deg):
+        camera = Camera.centred(width, height, 1045 * scale * (1 + 0.04 * (k % 2)))
+        pose = geometry.turntable_pose(lf_mount, angle)
+        image, depth = render(scene, camera, pose)
+        image = np.clip(image * (1 - 0.08 * (k % 3)) + rng.normal(0, noise, image.shape), 0, 255).astype(np.uint8)
+        poses.append(pose), cameras.append(camera), depths.append(depth)
+        said = replace(camera, focal_px=camera.focal_px * (1 + rng.normal(0, 1) * sigma_focal), sigma_focal=sigma_focal)
+        sources.append(
+            LightField(
+                f"{k:03d}",
+                np.broadcast_to(image, (3, 3, *image.shape)),
+                said,
+                Optics(),
+                pose if given else None,
+                None if given else angle + rng.normal(0, sigma_angle_deg),
+            )
+        )
+        evidence.append(evidence_of(depth, rng))
+    camera = Camera.centred(round(width * 1.1), round(height * 1.05), 1160 * scale)
+    pose = geometry.turntable_pose(photo_mount, target_deg)
+    image, depth = render(scene, camera, pose)
+    image = np.clip(image * 0.8 + 12 + rng.normal(0, noise, image.shape), 0, 255).astype(np.uint8)
+    said = replace(camera, focal_px=camera.focal_px * (1 + rng.normal(0, 1) * sigma_focal), sigma_focal=sigma_focal)
+    target = Photo("photo", image, said, pose if given else None, None if given else target_deg)
+    prior = RigPrior(
+        None if given else disturbed(lf_mount, rng, sigma_mount_deg, sigma_mount_m),
+        None if given else disturbed(photo_mount, rng, sigma_mount_deg, sigma_mount_m),
+        sigma_angle_deg,
+    )
+    return Shoot(sources, evidence, target, prior, poses, cameras, depths, pose, camera, depth)
+
+
+def evidence_of(depth: np.ndarray, rng: np.random.Generator) -> Evidence:
+    """What a depth stage would say of this depth map: peak disparity with a little noise, no volume worth reading."""
+    disparity = BASELINE_TIMES_FOCAL * (1 / np.where(np.isfinite(depth), depth, 2.0) - 1 / FOCUS_M)
+    disparity = (disparity + rng.normal(0, 0.01, depth.shape)).astype(np.float32)
+    volume = np.full((*depth.shape, 2), 0.5, np.float16)
+    return Evidence(volume, (-1.0, 2.0), disparity, np.full(depth.shape, 0.9, np.float32))
+
+
+@pytest.fixture(scope="session")
+def still() -> Shoot:
+    """Three sources and a photo with imperfect priors; shared, read only."""
+    return shoot()
+
+
+@pytest.fixture(scope="session")
+def studio():
+    """The functions of this file, for tests that need their own shoot."""
+    import types
+
+    return types.SimpleNamespace(
+        shoot=shoot, render=render, mount=mount, disturbed=disturbed, still_life=still_life, evidence_of=evidence_of
+    )
