@@ -1,0 +1,287 @@
+"""The simulated rig: what its devices really do, and what it would know and record of that.
+
+Every random quantity is drawn from (seed, what it belongs to), never from a running generator, so a capture is the
+same whether it is shot alone, again, or after others.
+"""
+
+from __future__ import annotations
+
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from lfrig.contracts.capture import CameraSpec, CaptureDocument, ExposureSpec, OpticsSpec, PoseSpec, ViewsSpec
+from lfrig.contracts.progress import Monitor
+from lfrig.contracts.session import CameraMount, RigCameras, RigSpec
+from lfrig.contracts.truth import TruthCapture
+from lfrig.sim.cache import cached, scene_digest
+from lfrig.sim.optics import SimCamera, look_at, pose_spec, rotation_vector, view_offsets
+from lfrig.sim.renderer import VERSION, render_depth, render_radiance
+from lfrig.sim.scene import F32, F64, Scene, pack
+from lfrig.sim.scenes import RigOptics, build_scene, optics_of
+from lfrig.sim.tone import U8, Exposure, add_noise, develop
+
+Poses = Literal["prior", "given"]
+ROWS = COLS = 7
+FULL_WIDTH = 541
+
+TURNTABLE_SIGMA_DEG = 0.3
+MOUNT_SIGMA_DEG = 0.5
+MOUNT_SIGMA_M = 0.0045
+FOCAL_SIGMA = 0.02
+OPTICS_SIGMA = 0.03
+RIG_DEPTH_RANGE_M = (0.25, 0.90)
+
+PIXELS_PER_MM = 50.0  # at 541 px: a sensor 10.8 mm wide
+BASELINE_PER_FOCAL = 1 / 30  # adjacent views: 1/15 of the pupil of an f/2 lens
+REQUEST_BF = 0.70  # px m at 541 px width
+REQUEST_FOCUS_M = 0.46
+LIGHT_FIELD_SAMPLES = 4
+PHOTO_SAMPLES = 16
+
+
+@dataclass(frozen=True, eq=False)
+class CaptureTruth:
+    """What really was: ``depth_m`` float32 [H, W] of the centre view; ``views`` uint8 [7, 7, H, W, 3] without noise
+    (None when they were not asked for); ``record`` for truth.json.
+    """
+
+    record: TruthCapture
+    depth_m: F32
+    views: U8 | None
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatedCapture:
+    """One shot. ``pixels`` uint8: views [7, 7, H, W, 3] of a light field, [H, W, 3] of a photo."""
+
+    pixels: U8
+    document: CaptureDocument
+    truth: CaptureTruth
+
+
+def target_size(width: int, height: int) -> tuple[int, int]:
+    """Size of the target camera's photo beside light-field views of ``width`` × ``height``: about as wide, 3:2."""
+    even = 2 * (width // 2)
+    return even, min(2 * round(even / 3), height)
+
+
+class SimulatedRig:
+    """Devices' true state and their records, for one scene and seed.
+
+    Parameters
+    ----------
+    scene : str or Scene
+        A name of the library, or a scene of one's own (shot with the tuning half's optics).
+    width, height : int
+        Size of a light-field view; the photo's follows (`target_size`).
+    noise_sigma : float
+        Gaussian noise on recorded pixels [grey levels].
+    poses : {"prior", "given"}
+        ``given`` records exact poses and focal lengths in each capture.
+    cache_dir : Path, optional
+        Where renders are kept between runs; None keeps nothing.
+    """
+
+    def __init__(
+        self,
+        scene: str | Scene,
+        width: int,
+        height: int,
+        *,
+        seed: int = 0,
+        noise_sigma: float = 0.0,
+        poses: Poses = "prior",
+        threads: int = 0,
+        cache_dir: Path | None = None,
+    ) -> None:
+        built = build_scene(scene, seed) if isinstance(scene, str) else scene
+        self.scene_name = built.name
+        self.optics: RigOptics = optics_of(built.name)
+        self.width, self.height, self.seed = width, height, seed
+        self.noise_sigma, self.poses, self.threads, self.cache_dir = noise_sigma, poses, threads, cache_dir
+        self._scene = pack(built)
+        self._digest = scene_digest(self._scene)
+
+    # What is true ------------------------------------------------------------------------------------------------
+
+    def _random(self, *what: object) -> np.random.Generator:
+        return np.random.default_rng([self.seed, zlib.crc32(repr((self.scene_name, *what)).encode())])
+
+    def true_angle_deg(self, commanded_deg: float) -> float:
+        """Where the plate really stands."""
+        return commanded_deg + TURNTABLE_SIGMA_DEG * self._random("angle", round(commanded_deg, 6)).standard_normal()
+
+    def _mount(self, target: bool) -> tuple[F64, F64]:
+        """True (R, t) of a camera to the plate at angle 0. The target camera stands a little aside and above."""
+        rng = self._random("mount", target)
+        elevation = rng.uniform(*self.optics.elevation_deg) + (rng.uniform(1.0, 2.5) if target else 0.0)
+        azimuth = rng.uniform(-2.0, 2.0) if target else 0.0
+        distance = rng.uniform(*self.optics.distance_m) + (rng.uniform(0.0, 0.02) if target else 0.0)
+        e, a = np.deg2rad([elevation, azimuth])
+        centre = distance * np.array([np.cos(e) * np.sin(a), -np.cos(e) * np.cos(a), np.sin(e)])
+        aim = np.array([0.0, 0.0, 0.040]) + rng.normal(0, 0.002, 3)
+        return look_at(centre, aim)
+
+    def light_field_camera(self, index: int, commanded_deg: float) -> SimCamera:
+        """True state of the light-field camera at its ``index``-th shot: each has its own zoom and focus."""
+        rng = self._random("lens", index)
+        zoom_mm, focus_m = rng.uniform(*self.optics.zoom_mm), rng.uniform(*self.optics.focus_m)
+        focal_px = _image_distance_mm(zoom_mm, focus_m) * PIXELS_PER_MM * self.width / FULL_WIDTH
+        still = SimCamera(
+            self.width, self.height, focal_px, zoom_mm * BASELINE_PER_FOCAL / 1000, focus_m, *self._mount(False)
+        )
+        return still.on_plate_at(self.true_angle_deg(commanded_deg))
+
+    def target_camera(self, commanded_deg: float) -> SimCamera:
+        """True state of the target camera; baseline and focus are those of the light field to be made."""
+        width, height = target_size(self.width, self.height)
+        zoom_mm = self._random("target lens").uniform(*self.optics.target_mm)
+        focal_px = _image_distance_mm(zoom_mm, REQUEST_FOCUS_M) * PIXELS_PER_MM * width / FULL_WIDTH
+        baseline = REQUEST_BF * width / FULL_WIDTH / focal_px
+        still = SimCamera(width, height, focal_px, baseline, REQUEST_FOCUS_M, *self._mount(True))
+        return still.on_plate_at(self.true_angle_deg(commanded_deg))
+
+    def exposure(self, index: int, *, target: bool = False) -> Exposure:
+        """Exposure and white balance of a shot: they drift from shot to shot, and the target camera differs more."""
+        rng = self._random("exposure", index, target)
+        gain = 1.5 * rng.uniform(0.72, 1.25) if target else 1.5 * rng.uniform(0.85, 1.18)
+        red, blue = rng.uniform(0.90, 1.10, 2) if target else rng.uniform(0.94, 1.06, 2)
+        return Exposure(float(gain), (float(red), 1.0, float(blue)))
+
+    # What is recorded --------------------------------------------------------------------------------------------
+
+    def rig_spec(self) -> RigSpec:
+        """What the rig knows of itself: mounts with errors, and how large those may be."""
+        return RigSpec(
+            cameras=RigCameras(
+                light_field=CameraMount(camera_from_plate=self._recorded_mount(False)),
+                target=CameraMount(camera_from_plate=self._recorded_mount(True)),
+            ),
+            turntable_sigma_deg=TURNTABLE_SIGMA_DEG,
+            depth_range_m=RIG_DEPTH_RANGE_M,
+        )
+
+    def _recorded_mount(self, target: bool) -> PoseSpec:
+        rotation, translation = self._mount(target)
+        rng = self._random("mount error", target)
+        centre = -rotation.T @ translation + MOUNT_SIGMA_M * rng.standard_normal(3)
+        wrong = rotation_vector(np.deg2rad(MOUNT_SIGMA_DEG) * rng.standard_normal(3)) @ rotation
+        return pose_spec(wrong, -wrong @ centre, sigma_deg=MOUNT_SIGMA_DEG, sigma_m=MOUNT_SIGMA_M)
+
+    def _recorded_camera(self, camera: SimCamera, *what: object) -> CameraSpec:
+        if self.poses == "given":
+            return camera.camera_spec(sigma_f=0.0)
+        error = FOCAL_SIGMA * float(np.clip(self._random("focal error", *what).standard_normal(), -2, 2))
+        return camera.camera_spec(fx=camera.focal_px * (1 + error), sigma_f=FOCAL_SIGMA)
+
+    def _recorded_optics(self, camera: SimCamera, *what: object) -> OpticsSpec:
+        error = OPTICS_SIGMA * np.clip(self._random("optics error", *what).standard_normal(2), -2, 2)
+        return OpticsSpec(
+            baseline_m=camera.baseline_m * (1 + float(error[0])),
+            focus_distance_m=camera.focus_m * (1 + float(error[1])),
+            sigma_baseline=OPTICS_SIGMA,
+        )
+
+    def _recorded_pose(self, camera: SimCamera) -> PoseSpec | None:
+        return camera.pose_spec() if self.poses == "given" else None
+
+    # Shots -------------------------------------------------------------------------------------------------------
+
+    def shoot_light_field(self, index: int, commanded_deg: float, monitor: Monitor | None = None) -> SimulatedCapture:
+        """The light-field camera's ``index``-th shot, with the plate commanded to ``commanded_deg``."""
+        camera = self.light_field_camera(index, commanded_deg)
+        exposure = self.exposure(index)
+        views = self._views(camera, exposure, LIGHT_FIELD_SAMPLES, 1.0, ("light field", index), monitor)
+        document = CaptureDocument(
+            kind="light_field",
+            views=ViewsSpec(rows=ROWS, cols=COLS),
+            camera=self._recorded_camera(camera, "light field", index),
+            optics=self._recorded_optics(camera, index),
+            exposure=_exposure_spec(exposure),
+            depth_range_m=RIG_DEPTH_RANGE_M,
+            turntable_deg=commanded_deg,
+            pose=self._recorded_pose(camera),
+        )
+        truth = self._truth(camera, "light_field", commanded_deg, views)
+        return SimulatedCapture(self._noisy(views, "light field", index), document, truth)
+
+    def shoot_photo(
+        self, index: int, commanded_deg: float, monitor: Monitor | None = None, *, truth_views: bool = True
+    ) -> SimulatedCapture:
+        """The target camera's photo; its truth is the light field that it would have taken from there.
+
+        ``truth_views`` False spares the 48 views that only scoring needs.
+        """
+        camera = self.target_camera(commanded_deg)
+        exposure = self.exposure(index, target=True)
+        what = ("photo", index)
+        photo = self._views(camera, exposure, PHOTO_SAMPLES, 0.0, what, monitor, centre_only=True)[0, 0]
+        views = None
+        if truth_views:
+            views = self._views(camera, exposure, LIGHT_FIELD_SAMPLES, 0.0, what, monitor)
+            views[ROWS // 2, COLS // 2] = photo
+        document = CaptureDocument(
+            kind="photo",
+            image="photo.png",
+            camera=self._recorded_camera(camera, "photo", index),
+            exposure=_exposure_spec(exposure),
+            turntable_deg=commanded_deg,
+            pose=self._recorded_pose(camera),
+        )
+        truth = self._truth(camera, "photo", commanded_deg, views)
+        return SimulatedCapture(self._noisy(photo, *what), document, truth)
+
+    def _noisy(self, pixels: U8, *what: object) -> U8:
+        return add_noise(pixels, self.noise_sigma, [self.seed, zlib.crc32(repr(("noise", *what)).encode())])
+
+    def _truth(self, camera: SimCamera, kind: str, commanded_deg: float, views: U8 | None) -> CaptureTruth:
+        centre = np.zeros((1, 2))
+        depth = render_depth(self._scene, camera, centre, threads=self.threads)[0]
+        record = TruthCapture(
+            kind=kind,
+            camera=camera.camera_spec(sigma_f=0.0),
+            optics=camera.optics_spec(),
+            pose=camera.pose_spec(),
+            turntable_deg=self.true_angle_deg(commanded_deg),
+            views=ViewsSpec(rows=ROWS, cols=COLS) if views is not None else None,
+            noise_sigma=self.noise_sigma,
+        )
+        return CaptureTruth(record, depth, views)
+
+    def _views(
+        self, camera: SimCamera, exposure: Exposure, samples: int, aperture: float, what: tuple[str, int],
+        monitor: Monitor | None, *, centre_only: bool = False,
+    ) -> U8:  # fmt: skip
+        """uint8 [rows, cols, H, W, 3] without noise, or [1, 1, H, W, 3] of the centre."""
+        rows, cols = (1, 1) if centre_only else (ROWS, COLS)
+        seed = zlib.crc32(repr((self.seed, *what)).encode())
+
+        def make() -> U8:
+            out = np.empty((rows, cols, camera.height, camera.width, 3), np.uint8)
+            offsets = view_offsets(rows, cols).reshape(rows, cols, 2)
+            for r in range(rows):
+                radiance = render_radiance(
+                    self._scene, camera, offsets[r], samples=samples, aperture=aperture, seed=seed,
+                    threads=self.threads,
+                )  # fmt: skip
+                out[r] = develop(radiance, exposure)
+                if monitor is not None:
+                    monitor.advance(cols)
+            return out
+
+        key = (VERSION, self._digest, camera.record().tobytes(), camera.width, camera.height, rows, cols, samples,
+               aperture, seed, exposure)  # fmt: skip
+        return np.asarray(cached(self.cache_dir, key, make), np.uint8)
+
+
+def _image_distance_mm(focal_mm: float, focus_m: float) -> float:
+    """Distance of the sensor behind a thin lens focused at ``focus_m``: the focal length in the pinhole sense."""
+    return focal_mm * focus_m / (focus_m - focal_mm / 1000)
+
+
+def _exposure_spec(exposure: Exposure) -> ExposureSpec:
+    return ExposureSpec(time_s=0.01 * exposure.gain, iso=100.0, white_balance=exposure.white_balance)
