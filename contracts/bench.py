@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import Any, ClassVar, Literal
 
-from pydantic import Field
-
 from lfrig.contracts.schema import Document, Finite, Model
+from pydantic import Field
 
 
 class Check(Model):

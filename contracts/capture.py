@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import Annotated, ClassVar, Literal
 
-from pydantic import Field, field_validator, model_validator
-
 from lfrig.contracts.paths import InsidePath, ViewPattern, expand
 from lfrig.contracts.schema import DepthRange, Document, Finite, Model, NonNegative, Positive, PositiveInt
+from pydantic import Field, field_validator, model_validator
 
 Vector3 = tuple[Finite, Finite, Finite]
 Matrix3 = tuple[Vector3, Vector3, Vector3]
+MAX_VIEWS_PER_SIDE = 256
 ROTATION_TOLERANCE = 1e-3
 DISTORTION_LENGTHS = {0, 4, 5, 8}
 
@@ -26,8 +26,8 @@ def _cross(a: Vector3, b: Vector3) -> Vector3:
 class ViewsSpec(Model):
     """Where the sub-aperture images are: ``pattern`` with ``{row}`` and ``{col}``, zero-based, row-major."""
 
-    rows: Annotated[int, Field(ge=3)]
-    cols: Annotated[int, Field(ge=3)]
+    rows: Annotated[int, Field(ge=3, le=MAX_VIEWS_PER_SIDE)]
+    cols: Annotated[int, Field(ge=3, le=MAX_VIEWS_PER_SIDE)]
     pattern: ViewPattern = "views/{row:02d}_{col:02d}.png"
 
     def file(self, row: int, col: int) -> str:

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-from pydantic import Field
-
 from lfrig.contracts.schema import Count, Document, Finite, Model, NonNegative
+from pydantic import Field
 
 
 class DisparityScore(Model):
