@@ -1,0 +1,60 @@
+"""Which format a source has: the detectors in order, the most specific first."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from lfrig.contracts.errors import BadInput, NotInThisVersion
+from lfrig.rig.ingest import capture_json, eslf, hci, photo, sai
+from lfrig.rig.ingest.candidate import Candidate, Request
+from lfrig.rig.session.store import SESSION_FILE
+
+LYTRO_SUFFIXES = frozenset({".lfr", ".lfp", ".raw"})
+RAW_PHOTO_SUFFIXES = frozenset({".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2"})
+_READABLE = "a folder with capture.json, an HCI folder, a folder of views, an ESLF picture, or a photo"
+
+DETECTORS: tuple[Callable[[Path, Request], Candidate | None], ...] = (
+    capture_json.recognise,
+    hci.recognise,
+    sai.recognise,
+    eslf.recognise,
+    photo.recognise,
+)
+
+
+def recognise(path: Path, request: Request) -> Candidate:
+    """Find out what ``path`` is.
+
+    Raises
+    ------
+    BadInput
+        It does not exist, is empty, or has a format that is not known; or a known one that is broken.
+    NotInThisVersion
+        A raw light field or a raw photo.
+    """
+    if not path.exists():
+        raise BadInput("does not exist", path=path, code="missing-file", remedy="check the path")
+    suffix = path.suffix.lower()
+    if path.is_file() and suffix in LYTRO_SUFFIXES:
+        raise NotInThisVersion(f"{path}: raw light fields", remedy="export it as ESLF or as views and ingest those")
+    if path.is_file() and suffix in RAW_PHOTO_SUFFIXES:
+        raise NotInThisVersion(f"{path}: raw photos ({suffix})", remedy="develop it to a 16-bit PNG or TIFF first")
+    if (path / SESSION_FILE).is_file():
+        raise BadInput(
+            "is a session itself", path=path, code="is-a-session",
+            remedy=f"give its captures: {path / 'captures'}/*",
+        )  # fmt: skip
+    for detect in DETECTORS:
+        found = detect(path, request)
+        if found is not None:
+            return found
+    empty = path.is_dir() and next(path.iterdir(), None) is None
+    raise BadInput(
+        "is an empty folder" if empty else f"is nothing that can be read{_as(request)}", path=path,
+        code="empty-folder" if empty else "unknown-format", remedy=f"give {_READABLE}",
+    )  # fmt: skip
+
+
+def _as(request: Request) -> str:
+    return f" as a {request.kind.replace('_', ' ')}" if request.kind else ""

@@ -1,0 +1,107 @@
+"""The HCI 4D light field benchmark: ``input_Cam000.png`` … and ``parameters.cfg`` (Honauer et al., ACCV 2016).
+
+File number = row · num_cams_x + col, also when only a part of the views is there (rows and columns 1–7 of 9×9).
+The views are sheared so that the focus plane has disparity zero, which is this project's convention and sign:
+δ = b F (1/z − 1/z_f) with F = focal_length / sensor_size · resolution. On *cotton* that gives b F = 36.571,
+c = 1/4.25; a fit to its ground truth 36.569.
+"""
+
+from __future__ import annotations
+
+import configparser
+import math
+import re
+from pathlib import Path
+
+from lfrig.contracts.capture import CameraSpec, OpticsSpec
+from lfrig.contracts.errors import BadInput
+from lfrig.rig.ingest.candidate import Candidate, Request, full_grid
+from lfrig.rig.ingest.view_files import ViewFiles, light_field_document, size_only
+from lfrig.rig.session.images import image_size
+
+FORMAT = "hci"
+PARAMETERS = "parameters.cfg"
+STANDARD_SIDE = 9
+"""Views per side where no parameters.cfg says it and the files are no full square."""
+_NAME = re.compile(r"input_Cam(\d+)\.png", re.IGNORECASE)
+
+
+def recognise(path: Path, request: Request) -> Candidate | None:
+    """A folder with ``input_CamNNN.png`` files; None for anything else, or when a pattern is given.
+
+    Raises
+    ------
+    BadInput
+        Views are missing, or parameters.cfg does not make sense.
+    """
+    if not path.is_dir() or request.pattern is not None or request.kind == "photo":
+        return None
+    numbered = {int(match[1]): entry for entry in path.iterdir() if (match := _NAME.fullmatch(entry.name))}
+    if not numbered:
+        return None
+    parameters = _Parameters(path / PARAMETERS) if (path / PARAMETERS).is_file() else None
+    side = int(parameters.number("extrinsics", "num_cams_x")) if parameters else _guess_side(set(numbered))
+    views, grid = full_grid({divmod(number, side): file for number, file in numbered.items()}, path, None)
+    width, height = image_size(grid[0][0])
+    known = parameters.known(width, height) if parameters else {"camera": size_only(grid[0][0])}
+    content = tuple(file for line in grid for file in line)
+    return ViewFiles(path, FORMAT, light_field_document(views=views, **known), content, grid)
+
+
+def _guess_side(numbers: set[int]) -> int:
+    side = math.isqrt(len(numbers))
+    return side if numbers == set(range(side * side)) else STANDARD_SIDE
+
+
+class _Parameters:
+    """A parameters.cfg."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._config = configparser.ConfigParser(interpolation=None)
+        try:
+            self._config.read_string(path.read_text(encoding="utf-8"))
+        except (configparser.Error, UnicodeDecodeError, OSError) as error:
+            raise BadInput(
+                f"cannot be read: {str(error).splitlines()[0]}", path=path, remedy="restore the file, or remove it"
+            ) from None
+
+    def number(self, section: str, key: str) -> float:
+        """A positive number; raises `BadInput`."""
+        value = self._optional(section, key)
+        if value is None or value <= 0:
+            raise BadInput(
+                "must be a positive number", path=self.path, field=f"{section}.{key}",
+                remedy="correct it, or remove the file",
+            )  # fmt: skip
+        return value
+
+    def _optional(self, section: str, key: str) -> float | None:
+        try:
+            value = self._config.getfloat(section, key, fallback=math.nan)
+        except ValueError:
+            return None
+        return value if math.isfinite(value) else None
+
+    def known(self, width: int, height: int) -> dict[str, object]:
+        """Camera, optics and depth range of views of this size."""
+        relative = self.number("intrinsics", "focal_length_mm") / self.number("intrinsics", "sensor_size_mm")
+        # The sensor's size is that of the longer side. Its resolution is read off the views themselves, so that a
+        # resized copy keeps its field of view.
+        focal = relative * max(width, height)
+        optics = OpticsSpec(
+            baseline_m=self.number("extrinsics", "baseline_mm") / 1000.0,
+            focus_distance_m=self.number("extrinsics", "focus_distance_m"),
+            sigma_baseline=0.0,
+        )
+        camera = CameraSpec(width=width, height=height, fx=focal, fy=focal, sigma_f=0.0)
+        return {"camera": camera, "optics": optics, "depth_range_m": self._depth_range(optics, focal)}
+
+    def _depth_range(self, optics: OpticsSpec, focal: float) -> tuple[float, float] | None:
+        """(near, far) [m] from the scene's disparity range; None when it reaches infinity or is not given."""
+        low, high = self._optional("meta", "disp_min"), self._optional("meta", "disp_max")
+        if low is None or high is None or low >= high:
+            return None
+        assert optics.baseline_m is not None and optics.focus_distance_m is not None
+        far, near = (d / (optics.baseline_m * focal) + 1.0 / optics.focus_distance_m for d in (low, high))
+        return (1.0 / near, 1.0 / far) if far > 0 else None

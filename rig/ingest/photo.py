@@ -1,0 +1,71 @@
+"""A photo: PNG, JPEG, TIFF, … of 8 or 16 bits; turned upright as its EXIF says, focal length from EXIF.
+
+A picture that is upright already is copied byte for byte; a turned one is stored as PNG, which loses nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from lfrig.contracts.capture import CaptureDocument
+from lfrig.contracts.errors import BadInput
+from lfrig.contracts.progress import Monitor, Notice
+from lfrig.processing.model import LightField
+from lfrig.rig.ingest.candidate import Candidate, Request, copy_files
+from lfrig.rig.session.convert import rectification_for
+from lfrig.rig.session.exif import camera_spec, exposure_spec, read_exif, read_photo, time_taken
+from lfrig.rig.session.images import IMAGE_SUFFIXES, image_size, write_png
+
+FORMAT = "photo"
+
+
+@dataclass(frozen=True)
+class PhotoFile(Candidate):
+    """One picture; ``content`` is its file."""
+
+    turned: bool = False
+
+    def notes(self) -> list[Notice]:
+        """Whether the focal length is unknown."""
+        if self.document.camera is not None and self.document.camera.fx is not None:
+            return []
+        return [Notice("no-focal-length", "has no focal length in its EXIF; it must be found from the pictures")]
+
+    def write(self, folder: Path, monitor: Monitor) -> None:
+        """Read the picture, then copy it, or write it upright."""
+        image, _ = read_photo(self.content[0])
+        rectification_for(self.document, image.shape[1], image.shape[0], self.source)
+        target = folder / (self.document.image or "")
+        if self.turned:
+            write_png(target, image)
+        else:
+            copy_files([(self.content[0], target)], monitor)
+
+    def light_field(self, monitor: Monitor, threads: int = 0) -> LightField:
+        """Raise: a photo is none."""
+        raise BadInput(
+            "is a photo, not a light field", path=self.source, code="not-a-light-field",
+            remedy="give a folder of views, an ESLF picture or a capture folder",
+        )  # fmt: skip
+
+
+def recognise(path: Path, request: Request) -> Candidate | None:
+    """Any picture file; None for a folder, for another kind of file, and when a light field was asked for."""
+    if not path.is_file() or request.kind == "light_field":
+        return None
+    if path.suffix.lower() not in IMAGE_SUFFIXES and request.kind != "photo":
+        return None
+    exif = read_exif(path)
+    width, height = image_size(path)
+    turned = exif.orientation != 1
+    if exif.orientation >= 5:
+        width, height = height, width
+    document = CaptureDocument(
+        kind="photo",
+        image="photo.png" if turned else f"photo{path.suffix.lower()}",
+        camera=camera_spec(exif, width, height),
+        exposure=exposure_spec(exif),
+        time=time_taken(exif),
+    )
+    return PhotoFile(path, FORMAT, document, (path,), turned)
