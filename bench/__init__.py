@@ -1,1 +1,31 @@
-"""To come."""
+"""Benchmarks: numbers with their cost, and checks with their reasons. `lfrig bench NAME` loads one of them.
+
+- ``accuracy``  what each step of the pipeline gains, over the simulated scenes
+- ``pareto``    error against CPU time, ours and the peers'
+- ``stress``    what must hold, or be refused by name, on inputs that break things
+- ``peers``     other methods on the same inputs
+- ``measure`` ``document`` ``plots`` ``cases``   what they share
+
+Every module of `BENCHES` has ``run(out, *, monitor, ...) -> BenchDocument``, which writes
+``OUT/<name>.json``, ``OUT/<name>.md`` and its plots.
+"""
+
+from __future__ import annotations
+
+import importlib
+from types import ModuleType
+
+from lfrig.contracts.errors import UsageError
+
+BENCHES = {
+    "accuracy": "lfrig.bench.accuracy",
+    "pareto": "lfrig.bench.pareto",
+    "stress": "lfrig.bench.stress",
+}
+
+
+def load(name: str) -> ModuleType:
+    """The module of a benchmark; raises `UsageError` when there is none of that name."""
+    if name not in BENCHES:
+        raise UsageError(f"there is no benchmark {name!r}", remedy=f"one of {', '.join(BENCHES)}")
+    return importlib.import_module(BENCHES[name])

@@ -1,0 +1,45 @@
+"""The stage table: the pipeline from the paper's form to its full form, one step per row."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from lfrig.processing.pipeline import Settings
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One row of the table: a key, what it says, and the settings of the whole pipeline at that step."""
+
+    key: str
+    title: str
+    settings: Settings
+
+
+def stage_table() -> tuple[Stage, ...]:
+    """All steps in order, each the one before with one thing changed for the better."""
+    shipped = Settings()
+    filled = replace(shipped, refine=replace(shipped.refine, snap=False))
+    regularised = replace(filled, refine=replace(filled.refine, far_side_fill=False))
+    surface = replace(
+        regularised,
+        regularise=replace(regularised.regularise, method="none"),
+        refine=replace(regularised.refine, smooth=False),
+    )
+    visible = replace(surface, fusion=replace(surface.fusion, first_surface=False))
+    affine = replace(visible, fusion=replace(visible.fusion, pool="mean", visibility=False))
+    paper = replace(
+        affine,
+        fusion=replace(affine.fusion, mapping="literal"),
+        regularise=replace(affine.regularise, regression="soft-argmax"),
+        scale_fit=replace(affine.scale_fit, form="paper"),
+    )
+    return (
+        Stage("paper", "A: literal planes, mean fusion, full soft-argmax, fit in depth", paper),
+        Stage("affine", "exact mapping, affine fit in inverse depth, windowed regression", affine),
+        Stage("log-pool", "B: floored log-pool and visibility", visible),
+        Stage("first-surface", "+ first-surface rule", surface),
+        Stage("sgm", "C: + SGM on the fused volume, plane fit", regularised),
+        Stage("fill", "C′: + far-side fill", filled),
+        Stage("snap", "preset fast: + snap to the photo's edges", shipped),
+    )
