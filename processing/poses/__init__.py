@@ -1,0 +1,6 @@
+"""Poses of sources and photo, and the anchors that scale each light field."""
+
+from lfrig.processing.poses.solution import PoseMethod, PoseSolution
+from lfrig.processing.poses.solve import solve_poses
+
+__all__ = ["PoseMethod", "PoseSolution", "solve_poses"]

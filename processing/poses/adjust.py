@@ -167,14 +167,14 @@ class _System:
         diagonal = np.einsum("naa->na", p)
         diagonal *= 1 + damping
         diagonal += 1e-12 * diagonal.sum(1, keepdims=True) + 1e-30
-        inverse = np.linalg.inv(p)
+        inverse: F64 = np.asarray(np.linalg.inv(p), np.float64)
         flat = mixed.reshape(n, views * LOCAL, 3)
         carried = flat @ inverse
         schur = -_outer_sum(carried, flat)
         for v in range(views):
             own = slice(v * LOCAL, (v + 1) * LOCAL)
             schur[own, own] += u[v]
-        right = gu.reshape(-1) - np.einsum("nab,nb->a", carried, gp)
+        right: F64 = gu.reshape(-1) - np.einsum("nab,nb->a", carried, gp)
         return schur, right, inverse, gp, flat
 
     def solve(self, x: F64, free: NDArray[np.intp], sigma: F64, damping: float) -> tuple[F64, F64]:
@@ -185,11 +185,11 @@ class _System:
             precision = self._precision(x, free, sigma)
             hessian = chain.T @ schur @ chain + np.diag(precision)
             hessian[np.diag_indices(len(free))] *= 1 + damping
-            step = -np.linalg.solve(hessian, chain.T @ right + precision * x[free])
+            step: F64 = np.asarray(-np.linalg.solve(hessian, chain.T @ right + precision * x[free]), np.float64)
         else:
             step = np.zeros(0)
         moved = np.einsum("nab,a->nb", flat, chain @ step)
-        return step, -np.einsum("nab,nb->na", inverse, gp + moved)
+        return step, np.asarray(-np.einsum("nab,nb->na", inverse, gp + moved), np.float64)
 
     def covariance(self, x: F64, free: NDArray[np.intp], sigma: F64) -> F64:
         """Covariance of all parameters (zero where held), points marginalised."""

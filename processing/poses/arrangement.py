@@ -129,7 +129,7 @@ class Arrangement:
         return table
 
     def start_at(self, x: F64, view: int, pose: Pose) -> F64:
-        """x with the mount correction that puts ``view``, alone on its mount, at ``pose``."""
+        """X with the mount correction that puts ``view``, alone on its mount, at ``pose``."""
         if sum(other.mount == self.views[view].mount for other in self.views) != 1:
             raise ValueError("the mount is shared")
         x = x.copy()

@@ -42,7 +42,7 @@ def extract_features(image: U8, limit: int = MAX_FEATURES) -> Features:
 
     grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
     # Without the precise upscale OpenCV's positions of the first octave are a quarter of a pixel off.
-    sift = cv2.SIFT_create(limit, 3, CONTRAST_THRESHOLD, 10, 1.6, enable_precise_upscale=True)
+    sift = cv2.SIFT.create(limit, 3, CONTRAST_THRESHOLD, 10, 1.6, enable_precise_upscale=True)
     keypoints, descriptor = sift.detectAndCompute(grey, None)
     if not keypoints:
         return Features(np.zeros((0, 2)), np.zeros(0), np.zeros((0, 128), np.float32), np.zeros(0, np.int64))

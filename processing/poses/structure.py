@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,6 +24,7 @@ NOISE_BOUNDS_PX = (0.08, 1.0)
 REJECT_SIGMAS = 4.0
 MIN_RAY_ANGLE_DEG = 2.0
 BAND_SIGMAS = 8.0
+START_NOISE_PX = 0.25
 
 
 @dataclass(frozen=True)
@@ -131,25 +132,22 @@ def match_again(
             features[i], features[j], (cameras[i], cameras[j]), (poses[i], poses[j]), depth_range_m, band
         )
         matches[i, j] = match_features(features[i], features[j], gate)
-        monitor.advance()
+        monitor.advance(0)
     return matches
 
 
-def solve_structure(
-    arrangement: Arrangement,
-    start: F64,
+def complete(
+    first: Structure,
     features: Sequence[Features],
-    matches: Mapping[Pair, Matches],
+    pairs: Sequence[Pair],
     depth_range_m: tuple[float, float],
     monitor: Monitor,
-    noise_schedule_px: Sequence[float] = (16.0, 4.0, 1.0),
 ) -> Structure:
-    """From matches of pairs and prior poses to refined poses and gated points: adjust, match again, adjust."""
-    wide = (depth_range_m[0] / 1.5, depth_range_m[1] * 1.5)
-    first = refine(arrangement, start, build_tracks(features, matches), wide, noise_schedule_px, monitor)
-    again = match_again(first, features, list(matches), depth_range_m, monitor)
-    seen = build_tracks(features, again)
-    final = refine(arrangement, first.parameters, seen, depth_range_m, (max(first.noise_px, 0.25),), monitor)
+    """Match again in the first solution's geometry, adjust once more, and keep what fits."""
+    seen = build_tracks(features, match_again(first, features, pairs, depth_range_m, monitor))
+    final = refine(
+        first.arrangement, first.parameters, seen, depth_range_m, (max(first.noise_px, START_NOISE_PX),), monitor
+    )
     good = gate_sightings(final.cameras, final.poses, final.seen, final.points, final.noise_px, depth_range_m)
     seen, kept = final.seen.keep(good)
     return replace(final, seen=seen, points=final.points[kept])

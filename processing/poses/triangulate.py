@@ -47,9 +47,7 @@ def stack(cameras: Sequence[Camera], poses: Sequence[Pose]) -> tuple[F64, F64, F
     )
 
 
-def reproject(
-    cameras: Sequence[Camera], poses: Sequence[Pose], seen: Observations, points: F64
-) -> tuple[F64, F64]:
+def reproject(cameras: Sequence[Camera], poses: Sequence[Pose], seen: Observations, points: F64) -> tuple[F64, F64]:
     """Residuals float64 [M, 2] px (projection − sighting) and depths [M]."""
     focal, principal, rotation, translation = stack(cameras, poses)
     local = np.einsum("mab,mb->ma", rotation[seen.view], points[seen.point]) + translation[seen.view]

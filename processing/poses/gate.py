@@ -1,0 +1,140 @@
+"""Refusals and warnings of the pose stage: each names the capture, what is wrong with it, and what to do."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from lfrig.contracts.errors import GeometryRefused
+from lfrig.contracts.progress import Monitor
+from lfrig.processing.geometry import rotation_angle_deg
+from lfrig.processing.model import F64, Pose
+from lfrig.processing.poses.features import Features
+from lfrig.processing.poses.matching import Matches
+from lfrig.processing.poses.tracks import Pair
+
+SAME_ROTATION_DEG = 0.01
+SAME_CENTRE = 1e-5
+DIFFERENT_VIEW_DEG = 2.0
+STILL_PX = 0.3
+STILL_FRACTION = 0.8
+ENOUGH_MATCHES = 20
+GOOD_ANCHORS = 60
+WIDE_STEP_DEG = 20.5
+ANGLE_SIGMAS = 4.0
+FOCAL_SIGMAS = 4.0
+MIN_PHOTO_MATCHES = 12
+MIN_VIEW_MATCHES = 15
+
+
+def refuse_identical_poses(poses: Sequence[Pose], names: Sequence[str], distance: float) -> None:
+    """Refuse two captures from one place; ``distance`` is that of the scene."""
+    for j in range(len(poses)):
+        for i in range(j):
+            turn = rotation_angle_deg(poses[i].rotation, poses[j].rotation)
+            step = float(np.linalg.norm(poses[i].centre - poses[j].centre))
+            if turn < SAME_ROTATION_DEG and step < SAME_CENTRE * distance:
+                raise GeometryRefused(
+                    f"captures {names[i]} and {names[j]} have the same pose",
+                    code="identical-poses",
+                    remedy="correct the pose or turntable_deg of one of them, or leave it out with --sources",
+                )
+
+
+def refuse_duplicates(
+    poses: Sequence[Pose], features: Sequence[Features], matches: Mapping[Pair, Matches], names: Sequence[str]
+) -> None:
+    """Refuse two captures whose pictures are the same although their poses say that they should differ."""
+    for (i, j), pairs in matches.items():
+        if len(pairs) < ENOUGH_MATCHES:
+            continue
+        if rotation_angle_deg(poses[i].rotation, poses[j].rotation) < DIFFERENT_VIEW_DEG:
+            continue
+        moved = np.linalg.norm(features[i].xy[pairs[:, 0]] - features[j].xy[pairs[:, 1]], axis=1)
+        if (moved < STILL_PX).mean() > STILL_FRACTION:
+            raise GeometryRefused(
+                f"captures {names[i]} and {names[j]} show the same view although their poses differ",
+                code="duplicate-capture",
+                remedy="the plate did not turn or a picture was stored twice: shoot one again, "
+                "or leave it out with --sources",
+            )
+
+
+def refuse_lonely_views(counts: Sequence[int], matches: Mapping[Pair, Matches], names: Sequence[str]) -> None:
+    """Refuse views whose pose too few matches carry: ``counts`` are the sightings of each that fit."""
+    for v, count in enumerate(counts):
+        if count >= MIN_VIEW_MATCHES:
+            continue
+        tried = [len(m) for pair, m in matches.items() if v in pair]
+        raise GeometryRefused(
+            f"capture {names[v]}: only {count} of {sum(tried)} matches with its neighbours fit together, "
+            f"{MIN_VIEW_MATCHES} are needed",
+            code="too-few-matches",
+            remedy="give the scene more texture, turn in smaller steps (10-15°), leave the capture out with "
+            "--sources, or record its pose",
+        )
+
+
+def refuse_photo(count: int, name: str) -> None:
+    """Refuse a photo that too few matches tie to the sources."""
+    if count < MIN_PHOTO_MATCHES:
+        raise GeometryRefused(
+            f"photo {name}: only {count} points of the sources are found in it, {MIN_PHOTO_MATCHES} are needed",
+            code="photo-no-overlap",
+            remedy="take the photo of the same scene from between the sources, or give its pose",
+        )
+
+
+def check_angles(turns_deg: F64, recorded_deg: F64, sigma_deg: float, names: Sequence[str], monitor: Monitor) -> None:
+    """Warn of single angles that the images contradict; refuse when most of them are wrong."""
+    wrong = np.abs(turns_deg) > ANGLE_SIGMAS * sigma_deg
+    if len(names) > 2 and wrong.sum() > len(names) / 2:
+        spread = recorded_deg - recorded_deg.mean()
+        factor = 1 + float((spread * turns_deg).sum() / max((spread**2).sum(), 1e-9))
+        raise GeometryRefused(
+            f"the images contradict {int(wrong.sum())} of {len(names)} turntable angles "
+            f"(they turned {factor:.2f} times as far as recorded)",
+            code="turntable-angles",
+            remedy="check the turntable's steps per degree, its direction and the order of the captures",
+        )
+    for v in np.flatnonzero(wrong).tolist():
+        monitor.warn(
+            "angle-corrected",
+            f"capture {names[v]}: the turntable said {recorded_deg[v]:.2f}°, the images say "
+            f"{recorded_deg[v] + turns_deg[v]:.2f}°; the images are believed",
+        )
+
+
+def warn_of_focals(log_focals: F64, sigmas: F64, names: Sequence[str], monitor: Monitor) -> None:
+    """Warn of focal lengths far from what was recorded."""
+    far = (sigmas > 0) & (np.abs(log_focals) > FOCAL_SIGMAS * sigmas)
+    for v in np.flatnonzero(far).tolist():
+        monitor.warn(
+            "focal-corrected",
+            f"capture {names[v]}: the images make its focal length {100 * np.expm1(log_focals[v]):+.1f} % off the "
+            "recorded one; check camera.fx",
+        )
+
+
+def warn_of_few_anchors(counts: Sequence[int], names: Sequence[str], monitor: Monitor) -> None:
+    """Warn of captures whose anchors are few."""
+    for name, count in zip(names, counts, strict=True):
+        if count < GOOD_ANCHORS:
+            monitor.warn(
+                "few-anchors",
+                f"capture {name}: only {count} anchors, {GOOD_ANCHORS} make a safe scale; more texture or smaller "
+                "steps help",
+            )
+
+
+def warn_of_wide_steps(poses: Sequence[Pose], names: Sequence[str], monitor: Monitor) -> None:
+    """Warn of a view whose nearest neighbour (``names`` has the photo last) is further away than is usual."""
+    for v in range(len(poses)):
+        steps = [rotation_angle_deg(poses[v].rotation, p.rotation) for i, p in enumerate(poses) if i != v]
+        if steps and min(steps) > WIDE_STEP_DEG:
+            monitor.warn(
+                "wide-step",
+                f"capture {names[v]} is {min(steps):.0f}° from its nearest neighbour; 10-15° are recommended, up to "
+                "20° are normal",
+            )

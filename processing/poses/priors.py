@@ -1,0 +1,130 @@
+"""What is known of the cameras before any image is looked at: given poses, or the mount and the turntable's angle."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lfrig.processing.geometry import rotation_angle_deg, turntable_pose
+from lfrig.processing.model import F64, Camera, LightField, Photo, Pose, RigPrior
+from lfrig.processing.poses.arrangement import Arrangement, Viewpoint
+from lfrig.processing.poses.tracks import Pair
+
+WOBBLE_DEG = 0.02
+WOBBLE_M = 0.0002
+"""How far a view may lie off the circle of the turntable: bearing play, and the pupil's shift with zoom."""
+
+PAIR_LIMIT_DEG = 32.0
+"""Views further apart share too few SIFT matches, and too many of those are wrong (inliers fall below 180)."""
+
+UNKNOWN_FOCAL_WIDTHS = 1.2
+UNKNOWN_FOCAL_SIGMA = 0.3
+DEFAULT_DEPTH_RANGE_M = (0.02, 100.0)
+
+
+def has_turntable_prior(sources: Sequence[LightField], prior: RigPrior) -> bool:
+    """Whether every source's pose follows from the rig's mount and its angle."""
+    return prior.light_field_from_plate is not None and all(s.turntable_deg is not None for s in sources)
+
+
+def known_camera(capture: LightField | Photo) -> Camera:
+    """The capture's camera; a guess with a wide sigma where it is unknown."""
+    if capture.camera is not None:
+        return capture.camera
+    height, width = (capture.height, capture.width) if isinstance(capture, LightField) else capture.image.shape[:2]
+    return Camera.centred(width, height, UNKNOWN_FOCAL_WIDTHS * max(width, height), UNKNOWN_FOCAL_SIGMA)
+
+
+def given_arrangement(sources: Sequence[LightField]) -> Arrangement:
+    """Every source on a mount of its own, at its given pose, free within the pose's sigmas."""
+    poses = [s.pose for s in sources]
+    assert all(p is not None for p in poses)
+    return Arrangement(
+        tuple(p for p in poses if p is not None), tuple(Viewpoint(known_camera(s), v) for v, s in enumerate(sources))
+    )
+
+
+def turntable_arrangement(sources: Sequence[LightField], prior: RigPrior) -> Arrangement:
+    """All sources on one mount in front of the plate, each at its angle."""
+    assert prior.light_field_from_plate is not None
+    views = [
+        Viewpoint(known_camera(s), 0, s.turntable_deg or 0.0, prior.turntable_sigma_deg, WOBBLE_DEG, WOBBLE_M)
+        for s in sources
+    ]
+    return Arrangement((prior.light_field_from_plate,), tuple(views))
+
+
+@dataclass(frozen=True)
+class PhotoPrior:
+    """Where the photo is expected: ``pose``, and the mount, angle [deg] and its sigma that it follows from."""
+
+    pose: Pose
+    mount: Pose
+    angle_deg: float = 0.0
+    sigma_angle_deg: float = 0.0
+
+    @property
+    def exact(self) -> bool:
+        """Whether the pose is held."""
+        return self.mount.sigma_deg == 0 and self.mount.sigma_m == 0 and self.sigma_angle_deg == 0
+
+
+def photo_prior(target: Photo, prior: RigPrior, origin: F64 | None = None) -> PhotoPrior | None:
+    """From the photo's pose, else from its mount and plate angle; None = unknown.
+
+    With an ``origin`` [3] the pose is that of a world moved there, and the turntable's axis is lost: the angle's
+    uncertainty goes into the pose's.
+    """
+    if target.pose is not None:
+        pose = target.pose
+    elif prior.target_from_plate is not None and target.turntable_deg is not None:
+        mount, sigma = prior.target_from_plate, prior.turntable_sigma_deg
+        pose = turntable_pose(mount, target.turntable_deg)
+        if origin is None:
+            return PhotoPrior(pose, mount, target.turntable_deg, sigma)
+        swing = np.deg2rad(sigma) * float(np.linalg.norm(mount.translation))
+        pose = replace(
+            pose, sigma_deg=float(np.hypot(pose.sigma_deg, sigma)), sigma_m=float(np.hypot(pose.sigma_m, swing))
+        )
+    else:
+        return None
+    if origin is not None:
+        pose = recentred(pose, origin)
+    return PhotoPrior(pose, pose)
+
+
+def with_photo(arrangement: Arrangement, target: Photo, known: PhotoPrior) -> Arrangement:
+    """The arrangement and the photo as its last view, on a mount of its own."""
+    view = Viewpoint(known_camera(target), len(arrangement.mounts), known.angle_deg, known.sigma_angle_deg)
+    return Arrangement((*arrangement.mounts, known.mount), (*arrangement.views, view))
+
+
+def neighbours(poses: Sequence[Pose], limit_deg: float = PAIR_LIMIT_DEG) -> list[Pair]:
+    """Pairs (i < j) worth matching, closest first: all within the limit, and for every view its nearest."""
+    angles = {
+        (i, j): rotation_angle_deg(poses[i].rotation, poses[j].rotation) for j in range(len(poses)) for i in range(j)
+    }
+    nearest = {
+        min((p for p in angles if v in p), key=lambda p: (angles[p], p)) for v in range(len(poses)) if len(poses) > 1
+    }
+    chosen = [p for p in angles if angles[p] <= limit_deg or p in nearest]
+    return sorted(chosen, key=lambda p: (round(angles[p], 6), p))
+
+
+def depth_limits(sources: Sequence[LightField], prior: RigPrior) -> tuple[float, float]:
+    """Depths [m] that points may have, with some slack around what the rig or the captures say."""
+    ranges = [s.depth_range_m for s in sources if s.depth_range_m is not None]
+    if prior.depth_range_m is not None:
+        near, far = prior.depth_range_m
+    elif ranges and len(ranges) == len(sources):
+        near, far = min(r[0] for r in ranges), max(r[1] for r in ranges)
+    else:
+        return DEFAULT_DEPTH_RANGE_M
+    return 0.8 * near, 1.25 * far
+
+
+def recentred(pose: Pose, origin: F64) -> Pose:
+    """The pose for a world whose origin is moved to ``origin`` [3]."""
+    return Pose(pose.rotation, pose.rotation @ (origin - pose.centre), pose.sigma_deg, pose.sigma_m)

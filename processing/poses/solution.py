@@ -1,0 +1,40 @@
+"""What the pose stage hands on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from lfrig.processing.model import Anchors, Camera, Pose
+
+PoseMethod = Literal["auto", "lf", "colmap", "given"]
+
+
+@dataclass(frozen=True)
+class PoseSolution:
+    """Poses of sources and target in one frame, and the anchors of every source.
+
+    Attributes
+    ----------
+    method : str
+        ``given``, ``colmap-turntable`` (structure from motion with the rig's prior) or ``colmap`` (without).
+    poses, cameras : tuple
+        Of the sources, in their order; cameras with refined focal lengths.
+    anchors : tuple of Anchors
+        Triangulated points of each source, ``depth_m`` along its optical axis.
+    angle_residual_deg : tuple of (float or None)
+        Solved minus recorded turntable angle of each source; None where no angle was used.
+    target_pose, target_camera
+        Of the photo.
+    metric : bool
+        Whether lengths are metres; else they are in a gauge of their own.
+    """
+
+    method: str
+    poses: tuple[Pose, ...]
+    cameras: tuple[Camera, ...]
+    anchors: tuple[Anchors, ...]
+    angle_residual_deg: tuple[float | None, ...]
+    target_pose: Pose
+    target_camera: Camera
+    metric: bool

@@ -1,0 +1,152 @@
+"""The pose stage: choose what to trust, solve sources and photo together, gate, and hand on poses and anchors."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from lfrig.contracts.errors import BadInput, GeometryRefused, NotInThisVersion, UsageError
+from lfrig.contracts.progress import Monitor
+from lfrig.processing.model import F64, Anchors, Evidence, LightField, Photo, Pose, RigPrior
+from lfrig.processing.poses import gate
+from lfrig.processing.poses.anchors import collect_anchors, metric_scale
+from lfrig.processing.poses.features import extract_features
+from lfrig.processing.poses.priors import has_turntable_prior, photo_prior
+from lfrig.processing.poses.solution import PoseMethod, PoseSolution
+from lfrig.processing.poses.structure import Structure
+from lfrig.processing.poses.with_prior import solve_with_prior
+from lfrig.processing.poses.without_prior import solve_without_prior
+
+
+def solve_poses(
+    sources: Sequence[LightField],
+    evidence: Sequence[Evidence],
+    target: Photo,
+    prior: RigPrior,
+    method: PoseMethod,
+    *,
+    threads: int,
+    monitor: Monitor,
+) -> PoseSolution:
+    """Poses of sources and photo in one frame, refined focal lengths, and anchors.
+
+    Parameters
+    ----------
+    evidence : sequence of Evidence
+        One per source; its disparity weeds out anchors that the light field contradicts.
+    method : {"auto", "given", "colmap", "lf"}
+        ``auto``: given poses when every source has one; else structure from motion, with the turntable's prior when
+        every source has an angle and the mount is known. ``colmap``: structure from motion even where poses are given.
+    threads : int
+        0 = all cores. The result does not depend on it.
+
+    Raises
+    ------
+    NotInThisVersion
+        ``lf``.
+    BadInput
+        ``given`` without a pose for every source, or no source.
+    GeometryRefused
+        Identical poses, duplicate captures, too few matches, contradicted turntable angles, no overlap with the photo.
+    """
+    kind = choose_method(sources, target, prior, method)
+    with _opencv_threads(threads), monitor.task("poses", len(sources) + 2):
+        features = []
+        for picture in (*(s.centre_view for s in sources), target.image8):
+            features.append(extract_features(np.ascontiguousarray(picture)))
+            monitor.advance()
+        if kind == "colmap":
+            structure = solve_without_prior(sources, features, target, monitor)
+        else:
+            structure = solve_with_prior(kind, sources, features, target, prior, monitor)
+        monitor.advance()
+        return _solution(kind, structure, sources, evidence, target, monitor)
+
+
+def choose_method(sources: Sequence[LightField], target: Photo, prior: RigPrior, method: PoseMethod) -> str:
+    """``given``, ``colmap-turntable`` or ``colmap``."""
+    if method == "lf":
+        raise NotInThisVersion("--poses lf", remedy="use --poses auto")
+    if method not in ("auto", "given", "colmap"):
+        raise UsageError(f"unknown pose method '{method}'", remedy="one of auto, given, colmap")
+    if not sources:
+        raise BadInput("no source: at least one light field is needed", code="no-source", remedy="ingest one")
+    missing = [s.id for s in sources if s.pose is None]
+    if method == "given" and missing:
+        raise BadInput(
+            "has no pose, and --poses given was asked for", path=f"capture {missing[0]}", field="pose",
+            code="pose-missing", remedy="record its pose, or use --poses auto",
+        )  # fmt: skip
+    alone = len(sources) == 1 and photo_prior(target, prior) is None
+    if method == "given" and alone:
+        raise GeometryRefused(
+            f"capture {sources[0].id} is the only source and photo {target.id} has no pose: nothing ties the two "
+            "to one scale",
+            code="one-source-no-photo-pose",
+            remedy="give the photo's pose, add a source, or use --poses colmap",
+        )
+    if method != "colmap" and not missing and not alone:
+        return "given"
+    return "colmap-turntable" if has_turntable_prior(sources, prior) and not alone else "colmap"
+
+
+def _solution(
+    kind: str,
+    structure: Structure,
+    sources: Sequence[LightField],
+    evidence: Sequence[Evidence],
+    target: Photo,
+    monitor: Monitor,
+) -> PoseSolution:
+    """The last gates, and everything in the form that the pipeline wants."""
+    count = len(sources)
+    names = [s.id for s in sources]
+    arrangement, x = structure.arrangement, structure.parameters
+    sigmas = np.array([v.camera.sigma_focal for v in arrangement.views])
+    gate.warn_of_focals(x[arrangement.log_focals], sigmas, [*names, target.id], monitor)
+    anchors = collect_anchors(structure, count, evidence)
+    gate.warn_of_few_anchors([len(a) for a in anchors], names, monitor)
+    gate.warn_of_wide_steps(structure.poses, [*names, target.id], monitor)
+    poses = with_sigmas(structure)
+    metric = kind != "colmap"
+    if not metric:
+        scale = metric_scale(anchors, sources, evidence)
+        if scale is None:
+            monitor.warn("no-scale", "no pose, mount or baseline is recorded: lengths are in arbitrary units")
+        else:
+            metric = True
+            poses = [replace(p, translation=p.translation * scale, sigma_m=p.sigma_m * scale) for p in poses]
+            anchors = tuple(Anchors(a.xy, a.depth_m * scale, a.world * scale) for a in anchors)
+    turned = np.rad2deg(x[arrangement.turns])
+    residual = [float(turned[v]) if kind == "colmap-turntable" else None for v in range(count)]
+    cameras = structure.cameras
+    return PoseSolution(
+        kind, tuple(poses[:count]), cameras[:count], anchors, tuple(residual), poses[count], cameras[count], metric
+    )
+
+
+def with_sigmas(structure: Structure) -> list[Pose]:
+    """Poses with the standard deviations that the adjustment leaves them (gauge included)."""
+    chain: F64 = structure.arrangement.local_derivative(structure.parameters)
+    out = []
+    for pose, table in zip(structure.poses, chain, strict=True):
+        variance = np.einsum("ka,ab,kb->k", table[:6], structure.covariance, table[:6])
+        sigma = np.sqrt(np.maximum(variance, 0))
+        out.append(Pose(pose.rotation, pose.translation, float(np.rad2deg(sigma[:3].max())), float(sigma[3:].max())))
+    return out
+
+
+@contextlib.contextmanager
+def _opencv_threads(threads: int) -> Iterator[None]:
+    """Let OpenCV use that many threads for a while (0 = all)."""
+    import cv2
+
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(threads if threads > 0 else -1)
+    try:
+        yield
+    finally:
+        cv2.setNumThreads(before)
