@@ -11,10 +11,10 @@ from pathlib import Path
 from lfrig.contracts.capture import CaptureDocument
 from lfrig.contracts.errors import BadInput, UsageError
 from lfrig.contracts.files import atomic_folder, refuse_existing
-from lfrig.contracts.progress import Monitor
+from lfrig.contracts.progress import Monitor, Notice
 from lfrig.contracts.result import ReportDocument
 from lfrig.processing.model import LightField, Photo, RigPrior
-from lfrig.processing.pipeline import ProcessOptions, process
+from lfrig.processing.pipeline import ProcessOptions, check_options, process
 from lfrig.rig.session.store import SessionStore
 
 DEFAULT_SOURCES = 4
@@ -39,6 +39,33 @@ class Inputs:
     target: Photo
     prior: RigPrior
     options: ProcessOptions
+
+
+class OwnNotices(Monitor):
+    """Passes everything on to another monitor, and keeps apart the warnings of one piece of work.
+
+    A report then tells the warnings of its own result, also when one monitor follows several.
+    """
+
+    def __init__(self, outer: Monitor) -> None:
+        super().__init__()
+        self._outer = outer
+
+    def cancel(self) -> None:
+        """Cancel the outer work."""
+        self._outer.cancel()
+
+    def task(self, name: str, total: int | None = None) -> contextlib.AbstractContextManager[None]:
+        """A task of the outer monitor."""
+        return self._outer.task(name, total)
+
+    def advance(self, steps: int = 1) -> None:
+        """Progress of the outer monitor; raises `Interrupted` after a cancel."""
+        self._outer.advance(steps)
+
+    def on_warn(self, notice: Notice) -> None:
+        """Pass the warning on."""
+        self._outer.warn(notice.code, notice.message)
 
 
 def process_session(
@@ -92,11 +119,8 @@ def process_session(
     from lfrig.processing.report.page import write_report
 
     options = options or ProcessOptions()
-    monitor = monitor or Monitor()
-    store = SessionStore.open(session)
-    selection = select(store.captures(), target, sources, path=store.path)
-    folder = result_folder(store.path, selection.target, options.preset, out)
-    refuse_existing(folder, overwrite=overwrite)
+    monitor = OwnNotices(monitor or Monitor())
+    store, selection, folder = check_session(session, target, sources, options, out, overwrite)
     inputs = load_inputs(store, selection, options, monitor)
     with _no_empty_parent(folder), atomic_folder(folder, overwrite=overwrite) as temporary:
         result = process(inputs.sources, inputs.target, inputs.prior, inputs.options, monitor)
@@ -104,6 +128,23 @@ def process_session(
             write_result(temporary, result, session=store.path.name)
             write_report(temporary, result, ReportDocument.load(temporary / "report.json"))
     return folder
+
+
+def check_session(
+    session: Path,
+    target: str | None,
+    sources: Sequence[str] | None,
+    options: ProcessOptions,
+    out: Path | None,
+    overwrite: bool,
+) -> tuple[SessionStore, Selection, Path]:
+    """What `process_session` would do and where its result would go, or the errors that need no pixel to be seen."""
+    check_options(options)
+    store = SessionStore.open(session)
+    selection = select(store.captures(), target, sources, path=store.path)
+    folder = result_folder(store.path, selection.target, options.preset, out)
+    refuse_existing(folder, overwrite=overwrite)
+    return store, selection, folder
 
 
 def result_folder(session: Path, target: str, preset: str, out: Path | None = None) -> Path:

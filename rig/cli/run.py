@@ -76,7 +76,7 @@ class Run:
         """Keep a full log; raises `DiskError` when the file cannot be written."""
         self.log = LogFile(path)
 
-    def emit(self, document: dict[str, Any], show: Callable[[Console], None] | None = None) -> None:
+    def emit(self, document: Any, show: Callable[[Console], None] | None = None) -> None:
         """Print the outcome: the JSON document, or what ``show`` draws for people."""
         self.monitor.pause()
         if self.json:
@@ -137,7 +137,10 @@ def text_console() -> Console:
 
 
 def plain(value: Any) -> Any:
-    """``value`` as JSON can hold it: paths as text, arrays and NumPy numbers as Python's, NaN and infinity as null."""
+    """``value`` as JSON can hold it.
+
+    Documents as they are on disk, paths as text, arrays and NumPy numbers as Python's, NaN and infinity as null.
+    """
     if isinstance(value, dict):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
@@ -146,8 +149,8 @@ def plain(value: Any) -> Any:
         return str(value)
     if isinstance(value, float):
         return value if value - value == 0 else None
-    if hasattr(value, "model_dump"):
-        return plain(value.model_dump(mode="json", exclude_none=True))
+    if hasattr(value, "to_json"):
+        return json.loads(value.to_json())
     if hasattr(value, "tolist"):
         return plain(value.tolist())
     return value

@@ -1,0 +1,50 @@
+"""``lfrig bench``: numbers with their cost. The only place from which the benchmarks are loaded."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from lfrig.contracts.errors import CheckFailed
+from lfrig.rig.cli import options as parse
+from lfrig.rig.cli.run import Run
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from lfrig.contracts.bench import BenchDocument
+
+LATER = ("skip", "kernels", "decode", "rig", "models", "ablation")
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command to ``app``."""
+    app.command("bench")(bench)
+
+
+def bench(
+    context: typer.Context,
+    name: Annotated[str, typer.Argument(metavar="accuracy|pareto|stress", help="Which benchmark.")],
+    out: Annotated[Path, typer.Option(help="Folder for the JSON, the Markdown and the plots.")] = Path("out/bench"),
+    check: Annotated[bool, typer.Option("--check", help="Exit 1 when a check fails.")] = False,
+) -> None:
+    """Run a benchmark: rows of numbers with their cost, and checks against bounds."""
+    from lfrig.bench import BENCHES, load
+
+    run: Run = context.obj
+    parse.one_of("bench", name, tuple(BENCHES), LATER)
+    document: BenchDocument = load(name).run(out, monitor=run.monitor, threads=run.threads)
+    run.emit(document, lambda console: _show(document, out, console))
+    failed = [item.name for item in document.checks if not item.ok]
+    if check and failed:
+        if run.json:
+            raise typer.Exit(CheckFailed.exit_code)
+        raise CheckFailed(f"{len(failed)} of {len(document.checks)} checks failed: {', '.join(failed)}",
+                          remedy=f"see {out}/{name}.md")  # fmt: skip
+
+
+def _show(document: BenchDocument, out: Path, console: Console) -> None:
+    text = (out / f"{document.name}.md").read_text(encoding="utf-8")
+    console.print(text, markup=False, soft_wrap=True)
