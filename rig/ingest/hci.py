@@ -40,7 +40,8 @@ def recognise(path: Path, request: Request) -> Candidate | None:
     if not numbered:
         return None
     parameters = _Parameters(path / PARAMETERS) if (path / PARAMETERS).is_file() else None
-    side = int(parameters.number("extrinsics", "num_cams_x")) if parameters else _guess_side(set(numbered))
+    columns = parameters.number("extrinsics", "num_cams_x") if parameters else None
+    side = int(columns or _guess_side(set(numbered)))
     views, grid = full_grid({divmod(number, side): file for number, file in numbered.items()}, path, None)
     width, height = image_size(grid[0][0])
     known = parameters.known(width, height) if parameters else {"camera": size_only(grid[0][0])}
@@ -66,42 +67,50 @@ class _Parameters:
                 f"cannot be read: {str(error).splitlines()[0]}", path=path, remedy="restore the file, or remove it"
             ) from None
 
-    def number(self, section: str, key: str) -> float:
-        """A positive number; raises `BadInput`."""
-        value = self._optional(section, key)
-        if value is None or value <= 0:
-            raise BadInput(
-                "must be a positive number", path=self.path, field=f"{section}.{key}",
-                remedy="correct it, or remove the file",
-            )  # fmt: skip
+    def number(self, section: str, key: str) -> float | None:
+        """A positive number; None where the file does not say it; raises `BadInput` for anything else."""
+        value = self._finite(section, key)
+        if value is not None and value <= 0:
+            raise self._refuse(section, key, "must be positive")
         return value
 
-    def _optional(self, section: str, key: str) -> float | None:
-        try:
-            value = self._config.getfloat(section, key, fallback=math.nan)
-        except ValueError:
-            return None
-        return value if math.isfinite(value) else None
-
     def known(self, width: int, height: int) -> dict[str, object]:
-        """Camera, optics and depth range of views of this size."""
-        relative = self.number("intrinsics", "focal_length_mm") / self.number("intrinsics", "sensor_size_mm")
-        # The sensor's size is that of the longer side. Its resolution is read off the views themselves, so that a
-        # resized copy keeps its field of view.
-        focal = relative * max(width, height)
+        """Camera, optics and depth range of views of this size, as far as the file says them."""
+        focal_mm, sensor_mm = self.number("intrinsics", "focal_length_mm"), self.number("intrinsics", "sensor_size_mm")
+        camera = CameraSpec(width=width, height=height)
+        if focal_mm is not None and sensor_mm is not None:
+            # The sensor's size is that of the longer side. Its resolution is read off the views themselves, so
+            # that a resized copy keeps its field of view.
+            focal = focal_mm / sensor_mm * max(width, height)
+            camera = CameraSpec(width=width, height=height, fx=focal, fy=focal, sigma_f=0.0)
+        baseline_mm = self.number("extrinsics", "baseline_mm")
         optics = OpticsSpec(
-            baseline_m=self.number("extrinsics", "baseline_mm") / 1000.0,
+            baseline_m=None if baseline_mm is None else baseline_mm / 1000.0,
             focus_distance_m=self.number("extrinsics", "focus_distance_m"),
-            sigma_baseline=0.0,
+            sigma_baseline=None if baseline_mm is None else 0.0,
         )
-        camera = CameraSpec(width=width, height=height, fx=focal, fy=focal, sigma_f=0.0)
-        return {"camera": camera, "optics": optics, "depth_range_m": self._depth_range(optics, focal)}
+        return {"camera": camera, "optics": optics, "depth_range_m": self._depth_range(optics, camera.fx)}
 
-    def _depth_range(self, optics: OpticsSpec, focal: float) -> tuple[float, float] | None:
-        """(near, far) [m] from the scene's disparity range; None when it reaches infinity or is not given."""
-        low, high = self._optional("meta", "disp_min"), self._optional("meta", "disp_max")
-        if low is None or high is None or low >= high:
+    def _depth_range(self, optics: OpticsSpec, focal: float | None) -> tuple[float, float] | None:
+        """(near, far) [m] from the scene's disparity range; None when it reaches infinity or is not known."""
+        low, high = self._finite("meta", "disp_min"), self._finite("meta", "disp_max")
+        if low is None or high is None or focal is None or optics.baseline_m is None or optics.focus_distance_m is None:
             return None
-        assert optics.baseline_m is not None and optics.focus_distance_m is not None
         far, near = (d / (optics.baseline_m * focal) + 1.0 / optics.focus_distance_m for d in (low, high))
-        return (1.0 / near, 1.0 / far) if far > 0 else None
+        return (1.0 / near, 1.0 / far) if 0 < far < near else None
+
+    def _finite(self, section: str, key: str) -> float | None:
+        text = self._config.get(section, key, fallback=None)
+        if text is None:
+            return None
+        try:
+            value = float(text)
+        except ValueError:
+            raise self._refuse(section, key, f"is no number: {text!r}") from None
+        if not math.isfinite(value):
+            raise self._refuse(section, key, f"is not finite: {text!r}")
+        return value
+
+    def _refuse(self, section: str, key: str, message: str) -> BadInput:
+        remedy = "correct it, or remove the line"
+        return BadInput(message, path=self.path, field=f"{section}.{key}", code="invalid-field", remedy=remedy)
