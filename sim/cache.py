@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import os
 from collections.abc import Callable
@@ -28,6 +29,15 @@ def scene_digest(scene: PackedScene) -> bytes:
     total = hashlib.sha256(repr(scene.lamp).encode())
     for array in (scene.primitives, scene.texels, scene.table, scene.lamp_points):
         total.update(np.ascontiguousarray(array).tobytes())
+    return total.digest()
+
+
+@functools.cache
+def source_digest() -> bytes:
+    """Hash of the simulator's Python sources: a library scene is known by this and its name, without being built."""
+    total = hashlib.sha256()
+    for path in sorted(Path(__file__).parent.rglob("*.py")):
+        total.update(path.read_bytes())
     return total.digest()
 
 

@@ -111,30 +111,36 @@ def _hit_cylinder(size: F64, o: Triple, d: Triple) -> tuple[F64, I64]:
 
 
 def _hit_torus(size: F64, o: Triple, d: Triple) -> tuple[F64, I64]:
-    major, minor = size[0], size[1]
-    reach = major + minor
-    b, q = dot(o, d), dot(o, o) - reach * reach
-    disc = b * b - q
-    result = np.full(len(b), MISS)
-    rows = np.flatnonzero(disc > 0)
-    root = np.sqrt(disc[rows])
-    end = -b[rows] + root
-    t = np.maximum(-b[rows] - root, 0.0)
+    major, minor = float(size[0]), float(size[1])
+    t, end = np.zeros(len(o[0])), np.full(len(o[0]), MISS)
+    for axis, half in enumerate((major + minor, major + minor, minor)):
+        inverse = 1.0 / _away_from_zero(d[axis])
+        t0, t1 = (-half - o[axis]) * inverse, (half - o[axis]) * inverse
+        t, end = np.maximum(t, np.minimum(t0, t1)), np.minimum(end, np.maximum(t0, t1))
+    result = np.full(len(t), MISS)
+    rows = np.flatnonzero(t <= end)
+    t, end = t[rows], end[rows]
     ox, oy, oz = (c[rows] for c in o)
     dx, dy, dz = (c[rows] for c in d)
+    distance = np.full(len(rows), MISS)
     for _ in range(TORUS_STEPS):
         x, y, z = ox + t * dx, oy + t * dy, oz + t * dz
-        ring = np.sqrt(x * x + y * y) - major
-        distance = np.sqrt(ring * ring + z * z) - minor
-        arrived = (distance < 1e-9) | (t > end)
-        result[rows[arrived]] = np.where((distance < 1e-6) & (t <= end), t, MISS)[arrived]
+        radius = np.sqrt(x * x + y * y)
+        ring = radius - major
+        tube = np.sqrt(ring * ring + z * z)
+        distance = tube - minor
+        arrived = (np.abs(distance) < 1e-9) | (t > end)
+        result[rows[arrived]] = np.where((np.abs(distance) < 1e-6) & (t <= end), t, MISS)[arrived]
         if arrived.all():
             return result, _no_face(result)
+        slope = (ring * ((x * dx + y * dy) / np.maximum(radius, TINY)) + z * dz) / np.maximum(tube, TINY)
+        newton = (distance < 0.2 * minor) & (slope < 0)
+        step = np.where(newton, distance * np.minimum(-1.0 / np.where(newton, slope, -1.0), 2.0), distance)
         on = ~arrived
-        rows, end, t, distance = rows[on], end[on], t[on] + distance[on], distance[on]
+        rows, end, t, distance = rows[on], end[on], (t + step)[on], distance[on]
         ox, oy, oz, dx, dy, dz = ox[on], oy[on], oz[on], dx[on], dy[on], dz[on]
     # Out of steps: only rays that graze get here.
-    result[rows] = np.where((distance < 1e-6) & (t <= end), t, MISS)
+    result[rows] = np.where((np.abs(distance) < 1e-6) & (t <= end), t, MISS)
     return result, _no_face(result)
 
 

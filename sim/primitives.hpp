@@ -5,6 +5,7 @@
 #pragma once
 #include <algorithm>
 #include <cmath>
+#include <cstdint>
 #include <limits>
 
 namespace lfrig::sim {
@@ -13,6 +14,14 @@ constexpr double kMiss = std::numeric_limits<double>::infinity();
 constexpr double kTiny = 1e-12;
 constexpr double kPi = 3.14159265358979323846;
 constexpr int kTorusSteps = 96;
+
+// Plain comparisons: one instruction each, where fmin, fmax and floor are library calls on baseline x86-64.
+inline double least(double a, double b) { return a < b ? a : b; }
+inline double most(double a, double b) { return a > b ? a : b; }
+inline double floor_of(double v) {
+    const double whole = double(int64_t(v));
+    return whole > v ? whole - 1.0 : whole;
+}
 
 struct Vec {
     double x, y, z;
@@ -66,9 +75,9 @@ inline Hit hit_box(const Primitive &p, Vec o, Vec d) {
     for (int a = 0; a < 3; ++a) {
         const double inverse = 1.0 / away_from_zero(dd[a]);
         const double t0 = (-p.size[a] - oo[a]) * inverse, t1 = (p.size[a] - oo[a]) * inverse;
-        const double lo = std::fmin(t0, t1), hi = std::fmax(t0, t1);
+        const double lo = least(t0, t1), hi = most(t0, t1);
         if (lo > enter) enter = lo, face = a;
-        leave = std::fmin(leave, hi);
+        leave = least(leave, hi);
     }
     return {enter <= leave ? enter : kMiss, face};
 }
@@ -90,23 +99,32 @@ inline Hit hit_cylinder(const Primitive &p, Vec o, Vec d) {
     return hit;
 }
 
-// Around local z: size = (major radius, minor radius). Sphere tracing of the exact distance, then Newton's steps on it:
-// a quartic solver would lose the grazing roots in double precision.
+// Around local z: size = (major radius, minor radius). Sphere tracing of the exact distance between the entry to and
+// the exit from the bounding box; close to the surface the step is Newton's, at most doubled, so that grazing rays are
+// not stepped over. A quartic solver would lose their roots in double precision.
 inline Hit hit_torus(const Primitive &p, Vec o, Vec d) {
     const double major = p.size[0], minor = p.size[1], reach = major + minor;
-    const double b = dot(o, d), q = dot(o, o) - reach * reach, disc = b * b - q;
-    if (!(disc > 0)) return {kMiss, 0};
-    const double root = std::sqrt(disc), end = -b + root;
-    double t = std::fmax(-b - root, 0.0);
+    const double oo[3] = {o.x, o.y, o.z}, dd[3] = {d.x, d.y, d.z}, hh[3] = {reach, reach, minor};
+    double t = 0.0, end = kMiss;
+    for (int a = 0; a < 3; ++a) {
+        const double inverse = 1.0 / away_from_zero(dd[a]);
+        const double t0 = (-hh[a] - oo[a]) * inverse, t1 = (hh[a] - oo[a]) * inverse;
+        t = most(t, least(t0, t1));
+        end = least(end, most(t0, t1));
+    }
+    if (t > end) return {kMiss, 0};
     double distance = kMiss;
     for (int i = 0; i < kTorusSteps; ++i) {
         const double x = o.x + t * d.x, y = o.y + t * d.y, z = o.z + t * d.z;
-        const double ring = std::sqrt(x * x + y * y) - major;
-        distance = std::sqrt(ring * ring + z * z) - minor;
-        if (distance < 1e-9 || t > end) break;
-        t = t + distance;
+        const double radius = std::sqrt(x * x + y * y), ring = radius - major;
+        const double tube = std::sqrt(ring * ring + z * z);
+        distance = tube - minor;
+        if (std::fabs(distance) < 1e-9 || t > end) break;
+        const double slope = (ring * ((x * d.x + y * d.y) / most(radius, kTiny)) + z * d.z) / most(tube, kTiny);
+        const bool newton = distance < 0.2 * minor && slope < 0;
+        t = t + (newton ? distance * least(-1.0 / slope, 2.0) : distance);
     }
-    return {distance < 1e-6 && t <= end ? t : kMiss, 0};
+    return {std::fabs(distance) < 1e-6 && t <= end ? t : kMiss, 0};
 }
 
 inline Hit hit_board(const Primitive &p, Vec o, Vec d) {
@@ -129,15 +147,31 @@ inline Hit hit_backdrop(const Primitive &p, Vec o, Vec d) {
     return {(-b + std::sqrt(disc)) / a, 0};
 }
 
-inline double bounding_radius(const Primitive &p) {
+// Half sizes of the bounding box in the local frame.
+inline Vec half_extent(const Primitive &p) {
     const double a = p.size[0], b = p.size[1], c = p.size[2];
     switch (int(p.kind)) {
-        case kBox: return std::sqrt(a * a + b * b + c * c);
+        case kBox: return {a, b, c};
         case kCylinder:
-        case kBoard: return std::sqrt(a * a + b * b);
-        case kTorus: return a + b;
-        default: return a;
+        case kBackdrop: return {a, a, b};
+        case kTorus: return {a + b, a + b, b};
+        case kBoard: return {a, 0, b};
+        case kDisc: return {a, a, 0};
+        default: return {a, a, a};
     }
+}
+
+// Whether the segment o + s d, s in [0, 1], meets the box of half sizes h (local frame).
+inline bool segment_meets_box(Vec o, Vec d, Vec h) {
+    const double oo[3] = {o.x, o.y, o.z}, dd[3] = {d.x, d.y, d.z}, hh[3] = {h.x, h.y, h.z};
+    double enter = 0.0, leave = 1.0;
+    for (int a = 0; a < 3; ++a) {
+        const double inverse = 1.0 / away_from_zero(dd[a]);
+        const double s0 = (-hh[a] - oo[a]) * inverse, s1 = (hh[a] - oo[a]) * inverse;
+        enter = most(enter, least(s0, s1));
+        leave = least(leave, most(s0, s1));
+    }
+    return enter <= leave;
 }
 
 // First hit at t > 1e-6 along a unit direction; t = kMiss when there is none.
@@ -168,10 +202,10 @@ inline Surface surface_at(const Primitive &p, Vec l, int face) {
     switch (int(p.kind)) {
         case kSphere: {
             const Vec n = l * (1.0 / p.size[0]);
-            const double z = std::fmax(-1.0, std::fmin(1.0, n.z));
-            const double latitude = std::sqrt(std::fmax(1.0 - z * z, 0.0));
+            const double z = most(-1.0, least(1.0, n.z));
+            const double latitude = std::sqrt(most(1.0 - z * z, 0.0));
             return {n, std::atan2(l.y, l.x) * turn * p.turns_u, std::acos(z) / kPi * p.turns_v,
-                    1.0 / std::fmax(latitude, 0.1)};
+                    1.0 / most(latitude, 0.1)};
         }
         case kBox:
             if (face == 0) return {{l.x > 0 ? 1.0 : -1.0, 0, 0}, l.y * p.u_per_m + 0.37, -l.z * p.v_per_m, 1};
@@ -183,7 +217,7 @@ inline Surface surface_at(const Primitive &p, Vec l, int face) {
                     -l.z * p.v_per_m, 1};
         case kTorus: {
             const double ring = std::sqrt(l.x * l.x + l.y * l.y), out = ring - p.size[0];
-            const double k = out / (p.size[1] * std::fmax(ring, kTiny));
+            const double k = out / (p.size[1] * most(ring, kTiny));
             return {{l.x * k, l.y * k, l.z / p.size[1]}, std::atan2(l.y, l.x) * turn * p.turns_u,
                     std::atan2(l.z, out) * turn * p.turns_v, 1};
         }

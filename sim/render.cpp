@@ -76,7 +76,8 @@ struct World {
     double ambient, ambient_slope;
     std::vector<std::vector<int>> casters;  // per cell of the light's grid, primitives that may shade it
     std::vector<int> all_casters;
-    std::vector<double> reach;  // radius of each primitive's bounding sphere
+    std::vector<Vec> extent;    // half sizes of each primitive's bounding box
+    std::vector<double> reach;  // radius of the sphere about that box
 
     Hit nearest(const Ray &ray, const std::vector<int> &candidates, const double *near_depth, int &index) const {
         Hit best{kMiss, 0};
@@ -101,33 +102,38 @@ struct World {
         return all_casters;
     }
 
-    // Whether the bounding sphere reaches into the cone from the point to the lamp's disc.
-    bool may_block(Vec point, int i) const {
-        const Vec to_lamp = light.centre - point;
-        const double distance = std::sqrt(dot(to_lamp, to_lamp));
+    // Whether the bounding volumes reach into the cone from the point to the lamp's disc. At the fraction s of the way
+    // the cone is s * light.radius wide, so the axis against a box grown by the widest such radius is a safe test.
+    bool may_block(Vec point, Vec to_lamp, double distance, int i) const {
         const double *c = primitives[i].position;
         const Vec v = Vec{c[0], c[1], c[2]} - point;
         const double along = dot(v, to_lamp) / distance, r = reach[i];
-        const double wide = light.radius * std::fmin(std::fmax((along + r) / distance, 0.0), 1.0) + r + 1e-6;
-        return along > -r - light.radius && dot(v, v) - along * along < wide * wide;
+        const double wide = light.radius * least(most((along + r) / distance, 0.0), 1.0) + 1e-6;
+        if (along < -r - wide || dot(v, v) - along * along > (r + wide) * (r + wide)) return false;
+        const Vec h = extent[i];
+        return segment_meets_box(to_local(primitives[i], v * -1.0), to_local(primitives[i], to_lamp),
+                                 {h.x + wide, h.y + wide, h.z + wide});
     }
 
     // Fraction of the light points first, first + step, ... that the point sees. Fixed points: shadows are the same
     // surface pattern in every view, without noise.
-    double visibility(Vec point, int self, int first, int step) const {
-        int blockers[64], blocker_count = 0;
+    double visibility(Vec point, int self, bool self_shadow, int first, int step) const {
+        thread_local std::vector<int> blockers;
+        blockers.clear();
+        const Vec to_lamp = light.centre - point;
+        const double lamp_distance = std::sqrt(dot(to_lamp, to_lamp));
         for (int i : casters_towards(point)) {
-            if (i == self && int(primitives[i].kind) != kTorus) continue;  // convex: the cosine has told
-            if (blocker_count < 64 && may_block(point, i)) blockers[blocker_count++] = i;
+            if (i == self && !self_shadow) continue;
+            if (may_block(point, to_lamp, lamp_distance, i)) blockers.push_back(i);
         }
-        if (blocker_count == 0) return 1.0;
+        if (blockers.empty()) return 1.0;
         int seen = 0, total = 0;
         for (int j = first; j < light.count; j += step) {
             const Vec v = Vec{light.points[3 * j], light.points[3 * j + 1], light.points[3 * j + 2]} - point;
             const double distance = std::sqrt(dot(v, v));
             const Vec d = v * (1.0 / distance);
             bool blocked = false;
-            for (int b = 0; b < blocker_count && !blocked; ++b)
+            for (size_t b = 0; b < blockers.size() && !blocked; ++b)
                 blocked = intersect(primitives[blockers[b]], point, d).t < distance;
             seen += !blocked;
             ++total;
@@ -145,7 +151,7 @@ struct World {
         double facing = dot(n, ray.direction);
         if (facing > 0) n = n * -1.0, facing = -facing;
         const double footprint = hit.t * ray.depth_per_t * sample_angle * p.texels_per_m * std::sqrt(s.stretch) /
-                                 std::sqrt(std::fmax(-facing, 0.15));
+                                 std::sqrt(most(-facing, 0.15));
         double albedo[3];
         textures.trilinear(int(p.texture), s.u + p.u0, s.v + p.v0, footprint, albedo);
         const Vec raised = point + n * 1e-5;
@@ -153,13 +159,15 @@ struct World {
         const double distance2 = dot(v, v), inverse = 1.0 / std::sqrt(distance2);
         const Vec l = v * inverse;
         const double cosine = dot(n, l);
+        // Only the inner half of a ring can shade itself; for all else the cosine has told.
+        const bool self_shadow = int(p.kind) == kTorus && s.normal.x * local.x + s.normal.y * local.y < 0;
         double diffuse = 0, highlight = 0;
         if (cosine > 0) {
-            const double arriving = light.power / distance2 * visibility(raised, index, sample, samples);
+            const double arriving = light.power / distance2 * visibility(raised, index, self_shadow, sample, samples);
             diffuse = arriving * cosine;
             if (p.specular > 0) {
                 const Vec h = l - ray.direction;
-                const double along = std::fmax(dot(n, h) / std::sqrt(dot(h, h)), 0.0);
+                const double along = most(dot(n, h) / std::sqrt(dot(h, h)), 0.0);
                 highlight = arriving * p.specular * std::pow(along, p.shininess);
             }
         }
@@ -186,9 +194,12 @@ World make_world(const Array<double, 2> &primitives, const Array<float, 1> &texe
     for (int j = 0; j < w.light.count; ++j) {
         const double *q = w.light.points + 3 * j;
         const Vec v = Vec{q[0], q[1], q[2]} - w.light.centre;
-        w.light.radius = std::fmax(w.light.radius, std::sqrt(dot(v, v)));
+        w.light.radius = most(w.light.radius, std::sqrt(dot(v, v)));
     }
-    for (int i = 0; i < w.count; ++i) w.reach.push_back(bounding_radius(w.primitives[i]));
+    for (int i = 0; i < w.count; ++i) {
+        w.extent.push_back(half_extent(w.primitives[i]));
+        w.reach.push_back(std::sqrt(dot(w.extent[i], w.extent[i])));
+    }
     const int grid = w.light.grid;
     w.casters.resize(size_t(grid) * grid);
     for (int i = 0; i < w.count; ++i) {
@@ -196,8 +207,8 @@ World make_world(const Array<double, 2> &primitives, const Array<float, 1> &texe
         w.all_casters.push_back(i);
         const double *rect = light_rects.data() + 4 * i;  // x0 y0 x1 y1 in tangents
         auto cell = [&](double v, int side) {
-            const double g = std::floor((v / w.light.grid_half + 1.0) * 0.5 * grid) + side;
-            return int(std::fmin(std::fmax(g, 0.0), double(grid - 1)));
+            const double g = floor_of((v / w.light.grid_half + 1.0) * 0.5 * grid) + side;
+            return int(least(most(g, 0.0), double(grid - 1)));
         };
         const int x0 = cell(rect[0], -1), x1 = cell(rect[2], 1), y0 = cell(rect[1], -1), y1 = cell(rect[3], 1);
         for (int y = y0; y <= y1; ++y)
@@ -236,6 +247,37 @@ void for_tiles(int views, int height, int width, int count, const double *rects,
     });
 }
 
+struct Sampling {
+    int side;
+    double aperture;
+    uint32_t seed;
+    double row, col;  // offset of the view
+};
+
+// Pixels x0..x1 − 1 of row y of one view. Flattened, so that all of the inner loop exists per instruction set.
+LFRIG_CLONES __attribute__((flatten)) void shade_row(const World &world, const Camera &k, const Sampling &how, int y,
+                                                     int x0, int x1, int width, const std::vector<int> &candidates,
+                                                     const double *near_depth, float *row) {
+    const int samples = how.side * how.side;
+    const double step = 1.0 / double(how.side), sample_angle = step / k.focal;
+    for (int x = x0; x < x1; ++x) {
+        const uint32_t pixel = hash32(how.seed + uint32_t(y) * uint32_t(width) + uint32_t(x));
+        double colour[3] = {0, 0, 0};
+        for (int s = 0; s < samples; ++s) {
+            const uint32_t key = pixel + uint32_t(s) * 4U;
+            const double px = double(x) + ((double(s % how.side) + unit(hash32(key))) * step - 0.5);
+            const double py = double(y) + ((double(s / how.side) + unit(hash32(key + 1U))) * step - 0.5);
+            const double du = how.col + (unit(hash32(key + 2U)) - 0.5) * how.aperture;
+            const double dv = how.row + (unit(hash32(key + 3U)) - 0.5) * how.aperture;
+            const Ray ray = view_ray(k, px, py, du, dv);
+            int index;
+            const Hit hit = world.nearest(ray, candidates, near_depth, index);
+            if (index >= 0) world.shade(ray, hit, index, sample_angle, s, samples, colour);
+        }
+        for (int c = 0; c < 3; ++c) row[3 * x + c] = float(colour[c] / double(samples));
+    }
+}
+
 void radiance(Array<double, 2> primitives, Array<float, 1> texels, Array<int64_t, 3> table,
               Array<double, 2> light_points, Array<double, 1> light, Array<double, 2> light_rects,
               Array<double, 1> camera, Array<double, 2> offsets, Array<double, 3> rects, Array<double, 2> near_depth,
@@ -250,28 +292,12 @@ void radiance(Array<double, 2> primitives, Array<float, 1> texels, Array<int64_t
     const double *offset = offsets.data();
     const uint32_t *seeds = view_seeds.data();
     float *pixels = out.data();
-    const int samples = side * side;
-    const double step = 1.0 / double(side), sample_angle = step / k.focal;
     nb::gil_scoped_release release;
     for_tiles(views, height, width, world.count, rects.data(), near_depth.data(), threads,
               [&](int view, int y, int x0, int x1, const std::vector<int> &candidates, const double *near_z) {
-        for (int x = x0; x < x1; ++x) {
-            const uint32_t pixel = hash32(seeds[view] + uint32_t(y) * uint32_t(width) + uint32_t(x));
-            double colour[3] = {0, 0, 0};
-            for (int s = 0; s < samples; ++s) {
-                const uint32_t key = pixel + uint32_t(s) * 4U;
-                const double px = double(x) + ((double(s % side) + unit(hash32(key))) * step - 0.5);
-                const double py = double(y) + ((double(s / side) + unit(hash32(key + 1U))) * step - 0.5);
-                const double du = offset[2 * view + 1] + (unit(hash32(key + 2U)) - 0.5) * aperture;
-                const double dv = offset[2 * view] + (unit(hash32(key + 3U)) - 0.5) * aperture;
-                const Ray ray = view_ray(k, px, py, du, dv);
-                int index;
-                const Hit hit = world.nearest(ray, candidates, near_z, index);
-                if (index >= 0) world.shade(ray, hit, index, sample_angle, s, samples, colour);
-            }
-            float *p = pixels + ((size_t(view) * height + y) * width + x) * 3;
-            for (int c = 0; c < 3; ++c) p[c] = float(colour[c] / double(samples));
-        }
+        const Sampling how{side, aperture, seeds[view], offset[2 * view], offset[2 * view + 1]};
+        shade_row(world, k, how, y, x0, x1, width, candidates, near_z,
+                  pixels + (size_t(view) * height + y) * width * 3);
     });
 }
 

@@ -112,6 +112,7 @@ class _Shaded:
     point: tuple[F64, F64, F64]
     normal: tuple[F64, F64, F64]
     albedo: F64
+    self_shadow: Bool
 
 
 def shade(
@@ -134,7 +135,7 @@ def shade(
         seen = np.zeros(len(rows))
         lit = np.flatnonzero(cosine > 0)
         origin = (raised[0][lit], raised[1][lit], raised[2][lit])
-        seen[lit] = _visibility(scene, origin, int(i), lamp_rectangles, sample, samples)
+        seen[lit] = _visibility(scene, origin, int(i), surface.self_shadow[lit], lamp_rectangles, sample, samples)
         arriving = lamp.power / distance2 * seen
         diffuse = arriving * cosine
         highlight = np.zeros(len(rows))
@@ -152,17 +153,21 @@ def _surface(scene: PackedScene, record: F64, ray: Ray, t: F64, face: NDArray[np
     point = (o[0] + d[0] * t, o[1] + d[1] * t, o[2] + d[2] * t)
     local = to_local(record, (point[0] - record[1], point[1] - record[2], point[2] - record[3]))
     normal, u, v, stretch = surface_at(record, local, face)
+    # Only the inner half of a ring can shade itself; for all else the cosine has told.
+    self_shadow = (record[0] == Kind.TORUS) & (normal[0] * local[0] + normal[1] * local[1] < 0)
     n = to_world(record, normal)
     facing = dot(n, d)
     flip = np.where(facing > 0, -1.0, 1.0)
     n, facing = (n[0] * flip, n[1] * flip, n[2] * flip), facing * flip
     footprint = t * ray.depth_per_t * angle * record[23] * np.sqrt(stretch) / np.sqrt(np.maximum(-facing, 0.15))
-    return _Shaded(point, n, trilinear(scene, int(record[16]), u + record[21], v + record[22], footprint))
+    albedo = trilinear(scene, int(record[16]), u + record[21], v + record[22], footprint)
+    return _Shaded(point, n, albedo, self_shadow)
 
 
 def _visibility(
-    scene: PackedScene, point: tuple[F64, F64, F64], own: int, lamp_rectangles: F64, sample: int, samples: int
-) -> F64:
+    scene: PackedScene, point: tuple[F64, F64, F64], own: int, self_shadow: Bool, lamp_rectangles: F64, sample: int,
+    samples: int,
+) -> F64:  # fmt: skip
     """Fraction of the lamp points sample, sample + samples, ... that each point sees."""
     lamp, frame = scene.lamp, scene.lamp_frame
     local = [dot(tuple(frame[k]), tuple(p - c for p, c in zip(point, lamp.position, strict=True))) for k in range(3)]
@@ -171,9 +176,11 @@ def _visibility(
     x, y = local[0] / z, local[1] / z
     casters: list[tuple[F64, NDArray[np.int64]]] = []
     for i, (record, rect) in enumerate(zip(scene.primitives, lamp_rectangles, strict=True)):
-        if record[29] == 0 or (i == own and int(record[0]) != Kind.TORUS):
+        if record[29] == 0:
             continue
         may = ~ahead | ((x >= rect[0]) & (x <= rect[2]) & (y >= rect[1]) & (y <= rect[3]))
+        if i == own:
+            may &= self_shadow
         if may.any():
             casters.append((record, np.flatnonzero(may)))
     seen, total = np.zeros(len(x)), 0

@@ -14,7 +14,7 @@ from lfrig.sim.optics import SimCamera
 from lfrig.sim.scene import F32, F64, PackedScene
 
 VERSION = 1
-"""Part of the cache key: raise it whenever a picture changes."""
+"""Part of the key of cached renders: raise it when render.cpp or its headers change a picture."""
 LAMP_GRID = 96
 LAMP_HALF_TANGENT = 0.9
 

@@ -6,7 +6,9 @@ same whether it is shot alone, again, or after others.
 
 from __future__ import annotations
 
+import functools
 import zlib
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -17,11 +19,11 @@ from lfrig.contracts.capture import CameraSpec, CaptureDocument, ExposureSpec, O
 from lfrig.contracts.progress import Monitor
 from lfrig.contracts.session import CameraMount, RigCameras, RigSpec
 from lfrig.contracts.truth import TruthCapture
-from lfrig.sim.cache import cached, scene_digest
+from lfrig.sim.cache import cached, scene_digest, source_digest
 from lfrig.sim.optics import SimCamera, look_at, pose_spec, rotation_vector, view_offsets
 from lfrig.sim.renderer import VERSION, render_depth, render_radiance
-from lfrig.sim.scene import F32, F64, Scene, pack
-from lfrig.sim.scenes import RigOptics, build_scene, optics_of
+from lfrig.sim.scene import F32, F64, PackedScene, Scene, pack
+from lfrig.sim.scenes import RigOptics, build_scene, check_scene_name, optics_of
 from lfrig.sim.tone import U8, Exposure, add_noise, develop
 
 Poses = Literal["prior", "given"]
@@ -63,6 +65,11 @@ class SimulatedCapture:
     truth: CaptureTruth
 
 
+@functools.lru_cache(maxsize=2)
+def _library_scene(name: str, seed: int) -> PackedScene:
+    return pack(build_scene(name, seed))
+
+
 def target_size(width: int, height: int) -> tuple[int, int]:
     """Size of the target camera's photo beside light-field views of ``width`` × ``height``: about as wide, 3:2."""
     even = 2 * (width // 2)
@@ -98,13 +105,19 @@ class SimulatedRig:
         threads: int = 0,
         cache_dir: Path | None = None,
     ) -> None:
-        built = build_scene(scene, seed) if isinstance(scene, str) else scene
-        self.scene_name = built.name
-        self.optics: RigOptics = optics_of(built.name)
+        if isinstance(scene, str):
+            check_scene_name(scene)
+            self.scene_name = scene
+            self._pack: Callable[[], PackedScene] = functools.partial(_library_scene, scene, seed)
+            self._digest: tuple[object, ...] = (source_digest(), scene, seed)
+        else:
+            packed = pack(scene)
+            self.scene_name = scene.name
+            self._pack = lambda: packed
+            self._digest = (scene_digest(packed),)
+        self.optics: RigOptics = optics_of(self.scene_name)
         self.width, self.height, self.seed = width, height, seed
         self.noise_sigma, self.poses, self.threads, self.cache_dir = noise_sigma, poses, threads, cache_dir
-        self._scene = pack(built)
-        self._digest = scene_digest(self._scene)
 
     # What is true ------------------------------------------------------------------------------------------------
 
@@ -240,7 +253,8 @@ class SimulatedRig:
 
     def _truth(self, camera: SimCamera, kind: str, commanded_deg: float, views: U8 | None) -> CaptureTruth:
         centre = np.zeros((1, 2))
-        depth = render_depth(self._scene, camera, centre, threads=self.threads)[0]
+        key = ("depth", VERSION, *self._digest, camera.record().tobytes(), camera.width, camera.height)
+        depth = cached(self.cache_dir, key, lambda: render_depth(self._pack(), camera, centre, threads=self.threads)[0])
         record = TruthCapture(
             kind=kind,
             camera=camera.camera_spec(sigma_f=0.0),
@@ -250,7 +264,7 @@ class SimulatedRig:
             views=ViewsSpec(rows=ROWS, cols=COLS) if views is not None else None,
             noise_sigma=self.noise_sigma,
         )
-        return CaptureTruth(record, depth, views)
+        return CaptureTruth(record, np.asarray(depth, np.float32), views)
 
     def _views(
         self, camera: SimCamera, exposure: Exposure, samples: int, aperture: float, what: tuple[str, int],
@@ -261,11 +275,12 @@ class SimulatedRig:
         seed = zlib.crc32(repr((self.seed, *what)).encode())
 
         def make() -> U8:
+            scene = self._pack()
             out = np.empty((rows, cols, camera.height, camera.width, 3), np.uint8)
             offsets = view_offsets(rows, cols).reshape(rows, cols, 2)
             for r in range(rows):
                 radiance = render_radiance(
-                    self._scene, camera, offsets[r], samples=samples, aperture=aperture, seed=seed,
+                    scene, camera, offsets[r], samples=samples, aperture=aperture, seed=seed,
                     threads=self.threads,
                 )  # fmt: skip
                 out[r] = develop(radiance, exposure)
@@ -273,7 +288,7 @@ class SimulatedRig:
                     monitor.advance(cols)
             return out
 
-        key = (VERSION, self._digest, camera.record().tobytes(), camera.width, camera.height, rows, cols, samples,
+        key = ("views", VERSION, *self._digest, camera.record().tobytes(), camera.width, camera.height, rows, cols, samples,
                aperture, seed, exposure)  # fmt: skip
         return np.asarray(cached(self.cache_dir, key, make), np.uint8)
 

@@ -6,8 +6,7 @@ Patterns are drawn in sRGB, where contrasts look even, at twice the size and fil
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -59,13 +58,11 @@ def spectrum_noise(rng: np.random.Generator, size: int, slope: float, low: float
     return np.asarray((noise - noise.mean()) / noise.std())
 
 
-@functools.lru_cache(maxsize=128)
 def plain(colour: Colour = (0.8, 0.8, 0.8), width_m: float = 0.1) -> Texture:
     """One colour."""
     return _texture(np.broadcast_to(np.array(colour), (8, 8, 3)).astype(np.float64), width_m)
 
 
-@functools.lru_cache(maxsize=128)
 def noise(seed: int, palette: str = "stone", width_m: float = 0.2, slope: float = 1.3, contrast: float = 1.0,
           size: int = SIZE) -> Texture:  # fmt: skip
     """Multi-octave noise along a palette; ``contrast`` 0..1 shrinks it about its middle."""
@@ -75,7 +72,6 @@ def noise(seed: int, palette: str = "stone", width_m: float = 0.2, slope: float 
     return _texture(_ramp(np.clip(value, 0, 1), PALETTES[palette]) + tint, width_m)
 
 
-@functools.lru_cache(maxsize=128)
 def weak(seed: int, colour: Colour = (0.72, 0.70, 0.66), width_m: float = 0.2, amplitude: float = 0.012,
          size: int = SIZE) -> Texture:  # fmt: skip
     """A nearly plain surface: noise of a few grey levels."""
@@ -84,7 +80,6 @@ def weak(seed: int, colour: Colour = (0.72, 0.70, 0.66), width_m: float = 0.2, a
     return _texture(np.array(colour) + grain, width_m)
 
 
-@functools.lru_cache(maxsize=128)
 def dead_leaves(seed: int, palette: str = "autumn", width_m: float = 0.2, smallest: float = 0.008,
                 largest: float = 0.18, size: int = SIZE) -> Texture:  # fmt: skip
     """Occluding discs of radius density r^−3, the statistics of natural images (Lee, Mumford & Huang 2001).
@@ -96,10 +91,11 @@ def dead_leaves(seed: int, palette: str = "autumn", width_m: float = 0.2, smalle
     image = np.zeros((n, n, 3))
     colours = np.array(PALETTES[palette])
     free = np.ones((n, n), bool)
+    left = n * n
     # Front to back: a disc paints what is still free, until little is.
-    for _ in range(12000):
+    while left > 0.002 * n * n:
         u = rng.random()
-        radius = n / np.sqrt((1 - u) / (smallest * 1.0) ** 2 + u / largest**2)
+        radius = n / np.sqrt((1 - u) / smallest**2 + u / largest**2)
         cx, cy = rng.random(2) * n
         a = rng.integers(len(colours))
         colour = np.clip(colours[a] * (0.75 + 0.5 * rng.random()) + 0.06 * rng.standard_normal(3), 0, 1)
@@ -109,20 +105,19 @@ def dead_leaves(seed: int, palette: str = "autumn", width_m: float = 0.2, smalle
         inside = (xs - cx)[None, :] ** 2 + (ys - cy)[:, None] ** 2 <= radius * radius
         index = np.ix_(ys % n, xs % n)
         paint = inside & free[index]
-        if not paint.any():
+        painted = int(np.count_nonzero(paint))
+        if not painted:
             continue
+        left -= painted
         lit = 1 + (shade[0] * (xs - cx)[None, :] + shade[1] * (ys - cy)[:, None]) / radius
         block = image[index]
         block[paint] = (colour * lit[..., None])[paint]
         image[index] = block
         free[index] &= ~inside
-        if free.sum() < 0.002 * n * n:
-            break
     image[free] = colours[0]
     return _texture(_halved(np.clip(image, 0, 1)), width_m)
 
 
-@functools.lru_cache(maxsize=128)
 def wood(seed: int, dark: Colour = (0.42, 0.26, 0.14), light: Colour = (0.78, 0.58, 0.36), width_m: float = 0.25,
          rings: int = 9, size: int = SIZE) -> Texture:  # fmt: skip
     """Planed wood: rings bent by slow noise, pores and fibres along x."""
@@ -140,7 +135,6 @@ def wood(seed: int, dark: Colour = (0.42, 0.26, 0.14), light: Colour = (0.78, 0.
     return _texture(np.array(dark) * (1 - value) + np.array(light) * value, width_m)
 
 
-@functools.lru_cache(maxsize=128)
 def bricks(seed: int, palette: str = "autumn", width_m: float = 0.2, rows: int = 8, columns: int = 4,
            bond: float = 0.5, joint: float = 0.08, size: int = SIZE) -> Texture:  # fmt: skip
     """Bricks (``bond`` 0.5) or tiles (``bond`` 0): each its own shade, with grain and light joints."""
@@ -153,14 +147,13 @@ def bricks(seed: int, palette: str = "autumn", width_m: float = 0.2, rows: int =
     colours = np.array(PALETTES[palette])[1:4]
     each = colours[rng.integers(len(colours), size=(rows, columns))] * (0.85 + 0.3 * rng.random((rows, columns, 1)))
     image = each[row % rows, column] * (1 + 0.09 * spectrum_noise(rng, n, 1.0)[..., None])
-    fx, fy = (x % 1) * rows / columns * (size / size), y % 1
+    fx, fy = (x % 1) * rows / columns, y % 1
     width = rows / columns
     gap = (fy < joint) | (np.minimum(fx, width - fx) < joint / 2)
     image[gap] = np.array([0.80, 0.77, 0.72]) * (1 + 0.05 * spectrum_noise(rng, n, 1.0)[gap, None])
     return _texture(_halved(np.clip(image, 0, 1)), width_m)
 
 
-@functools.lru_cache(maxsize=128)
 def checker(a: Colour = (0.12, 0.12, 0.14), b: Colour = (0.88, 0.86, 0.82), width_m: float = 0.2, squares: int = 8,
             grain: float = 0.0, seed: int = 0, size: int = SIZE) -> Texture:  # fmt: skip
     """A chequerboard of ``squares`` (even) per side; exactly repeating unless ``grain`` is given."""
@@ -173,7 +166,6 @@ def checker(a: Colour = (0.12, 0.12, 0.14), b: Colour = (0.88, 0.86, 0.82), widt
     return _texture(_halved(image), width_m)
 
 
-@functools.lru_cache(maxsize=128)
 def stripes(colours: tuple[Colour, ...], width_m: float = 0.1, repeats: int = 4, vertical: bool = True,
             slant: int = 0, size: int = SIZE) -> Texture:  # fmt: skip
     """Equal stripes, exactly repeating; ``slant`` stripes sets climb per repetition."""
@@ -184,7 +176,6 @@ def stripes(colours: tuple[Colour, ...], width_m: float = 0.1, repeats: int = 4,
     return _texture(_halved(np.array(colours)[index]), width_m)
 
 
-@functools.lru_cache(maxsize=128)
 def printed(seed: int, paper: Colour = (0.93, 0.91, 0.86), ink: Colour = (0.12, 0.11, 0.13), width_m: float = 0.12,
             lines: int = 14, size: int = SIZE) -> Texture:  # fmt: skip
     """Lines of letter-like strokes with word gaps and paragraphs, like a printed page."""
@@ -222,7 +213,6 @@ def _letter(rng: np.random.Generator, page: F64, x: int, top: int, height: int, 
     return x + width + stroke
 
 
-@functools.lru_cache(maxsize=128)
 def gradient(low: Colour, high: Colour, width_m: float = 0.2, size: int = 128) -> Texture:
     """A smooth cosine ramp down and up again: no edges, no grain."""
     level = (0.5 - 0.5 * np.cos(2 * np.pi * np.arange(size) / size))[:, None, None]
@@ -230,7 +220,6 @@ def gradient(low: Colour, high: Colour, width_m: float = 0.2, size: int = 128) -
     return _texture(np.broadcast_to(image, (size, size, 3)).copy(), width_m)
 
 
-@functools.lru_cache(maxsize=128)
 def patches(seed: int, palette: str = "toy", width_m: float = 0.1, cells: int = 24, size: int = SIZE) -> Texture:
     """Voronoi cells in palette colours: large flat areas with crisp borders, like painted toys."""
     rng = np.random.default_rng([seed, 8])
@@ -249,7 +238,6 @@ def patches(seed: int, palette: str = "toy", width_m: float = 0.1, cells: int = 
     return _texture(_halved(colours[owner] + grain), width_m)
 
 
-@functools.lru_cache(maxsize=128)
 def fabric(seed: int, colour: Colour = (0.35, 0.42, 0.52), width_m: float = 0.15, threads: int = 64,
            size: int = SIZE) -> Texture:  # fmt: skip
     """Plain weave with uneven threads: fine and nearly periodic."""
@@ -259,9 +247,3 @@ def fabric(seed: int, colour: Colour = (0.35, 0.42, 0.52), width_m: float = 0.15
     uneven = spectrum_noise(rng, size, 0.9, low=2)
     value = 1 + 0.10 * warp + 0.10 * weft + 0.10 * uneven
     return _texture(np.array(colour) * value[..., None], width_m)
-
-
-MAKERS: dict[str, Callable[..., Texture]] = {
-    f.__name__: f
-    for f in (plain, noise, weak, dead_leaves, wood, bricks, checker, stripes, printed, gradient, patches, fabric)
-}

@@ -56,6 +56,13 @@ def build_scene(name: str, seed: int = 0) -> Scene:
     BadInput
         There is no such scene.
     """
+    check_scene_name(name)
+    # Far apart, so that textures of one scene's neighbouring seeds do not meet those of another.
+    return SCENES[name](1000 * seed + 50 * list(SCENES).index(name))
+
+
+def check_scene_name(name: str) -> None:
+    """Raise `BadInput` when there is no such scene."""
     if name not in SCENES:
         raise BadInput(
             f"there is no simulated scene {name!r}",
@@ -63,8 +70,6 @@ def build_scene(name: str, seed: int = 0) -> Scene:
             code="unknown-scene",
             remedy=f"one of: {', '.join(SCENES)}",
         )
-    # Far apart, so that textures of one scene's neighbouring seeds do not meet those of another.
-    return SCENES[name](1000 * seed + 50 * list(SCENES).index(name))
 
 
 def optics_of(name: str) -> RigOptics:
