@@ -28,8 +28,8 @@ class DpvSettings:
     max_planes: int = 160
     truncation_grey: float = 23.0
     p1_grey: float = 0.15
-    p2_grey: float = 1.5
-    edge_grey: float = 8.0
+    p2_grey: float = 3.0
+    edge_grey: float = 12.0
     inverse_temperature: float = 3.0
     """Softmax sharpness per grey level of aggregated cost, on clean views."""
     window: int = 3
@@ -37,13 +37,17 @@ class DpvSettings:
     occlusion_aware: bool = True
     occlusion_gap_px: float = 0.3
     """A disparity step of this size within ``occlusion_radius`` pixels asks for the half-aperture test."""
-    occlusion_radius: int = 5
+    occlusion_radius: int = 4
+    occlusion_bias_grey: float = 0.25
+    """What a half of the aperture must be better than all of it: keeps noise from choosing halves."""
     noise_share: float = 0.6
     """How fast penalties grow, and the temperature rises, per grey level of noise."""
 
 
 DEFAULT_DPV = DpvSettings()
 NO_TEXTURE_GREY = 0.5
+NOISE_PER_FLOOR = 1.37
+CLEAN_FLOOR_GREY = 0.4
 
 
 def light_field_evidence(
@@ -96,7 +100,7 @@ def light_field_evidence(
             halves = [offsets[:, 0] < 0, offsets[:, 0] > 0, offsets[:, 1] < 0, offsets[:, 1] > 0]
             for half in halves:
                 part = sweep(np.ascontiguousarray(grey[half]), offsets=offsets[half])
-                cost[edges] = np.minimum(cost[edges], part[edges])
+                cost[edges] = np.minimum(cost[edges], part[edges] + np.float32(settings.occlusion_bias_grey))
             total = smooth(cost)
     del cost
     probability, index, confidence = softmax_peak(total, settings.inverse_temperature / swell, settings.window)
@@ -186,12 +190,13 @@ def refuse_constant(light_field: LightField) -> None:
 def noise_of_cost(cost: F32) -> float:
     """Noise standard deviation [grey levels] from the floor of the matching cost.
 
-    Where the right plane is among the candidates the views differ by noise alone, so the mean absolute difference of
-    two noisy pixels, σ·2/√π, is what is left; the tenth percentile over the image avoids edges and wrong planes, and
-    one grey level of interpolation error and quantisation is taken off.
+    Where the right plane is among the candidates the views differ by noise alone; the tenth percentile over the image
+    of the best plane's cost avoids edges and wrong planes. On views with known noise this floor is σ/1.37 above a
+    clean floor of about 0.4 (interpolation and the box average part of the noise away, the best of many planes is
+    lower still).
     """
     floor = float(np.quantile(cost.min(axis=2)[::2, ::2], 0.1))
-    return max(0.0, floor * float(np.sqrt(np.pi)) / 2 - 0.5)
+    return NOISE_PER_FLOOR * float(np.sqrt(max(0.0, floor**2 - CLEAN_FLOOR_GREY**2)))
 
 
 def softmax_peak(cost: F32, inverse_temperature: float, window: int) -> tuple[NDArray[np.uint16], F32, F32]:
