@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lfrig.contracts.progress import Monitor
-from lfrig.contracts.truth import TruthDocument
-from lfrig.processing.model import LightField, LightFieldRequest, Photo, RigPrior
+from lfrig.contracts.truth import TruthCapture, TruthDocument
+from lfrig.processing.model import Camera, LightField, LightFieldRequest, Photo, Pose, RigPrior
 from lfrig.rig.session.convert import to_camera, to_light_field, to_pose, to_rig_prior
 from lfrig.rig.truth import CaptureTruth
 from lfrig.sim.cache import default_cache_dir
@@ -34,13 +34,17 @@ FAR_DEG = (-35.0, 40.0)
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """One scene, shot: the inputs of the pipeline and what is true of the target."""
+    """One scene, shot: the inputs of the pipeline and what is true of the target.
+
+    ``cameras`` holds the true camera and pose of every capture by its id.
+    """
 
     scene: str
     sources: list[LightField]
     target: Photo
     prior: RigPrior
     truth: CaptureTruth
+    cameras: dict[str, tuple[Camera, Pose]]
 
     @property
     def request(self) -> LightFieldRequest:
@@ -60,6 +64,10 @@ class Case:
             rows=wanted.rows, cols=wanted.cols,
         )  # fmt: skip
         return replace(options, **changes)  # type: ignore[arg-type]
+
+    def without_views(self) -> Case:
+        """The same without the true views: what a process of its own needs."""
+        return replace(self, truth=replace(self.truth, views=None))
 
     def with_sources(self, count: int) -> Case:
         """The same with the first ``count`` sources only."""
@@ -105,12 +113,19 @@ def shoot_case(
         target=_photo(session.target_id, target),
         prior=to_rig_prior(session.rig),
         truth=_truth(session.target_id, target, session.truth),
+        cameras={name: _camera(record) for name, record in session.truth.captures.items()},
     )
 
 
 def _photo(name: str, capture: SimulatedCapture) -> Photo:
     document = capture.document
     return Photo(name, capture.pixels, to_camera(document.camera), to_pose(document.pose), document.turntable_deg)
+
+
+def _camera(record: TruthCapture) -> tuple[Camera, Pose]:
+    camera, pose = to_camera(record.camera), to_pose(record.pose)
+    assert camera is not None and pose is not None
+    return camera, pose
 
 
 def _truth(name: str, capture: SimulatedCapture, truth: TruthDocument) -> CaptureTruth:

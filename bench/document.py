@@ -24,13 +24,22 @@ class Column:
     form: str = ""
 
 
+@dataclass(frozen=True)
+class Table:
+    """Some of the rows under a title."""
+
+    title: str
+    rows: Sequence[dict[str, Any]]
+    columns: Sequence[Column]
+
+
 def write(
     out: Path,
     name: str,
     *,
     rows: list[dict[str, Any]],
     checks: list[Check],
-    columns: Sequence[Column],
+    tables: Sequence[Table],
     text: str,
     pictures: Sequence[str] = (),
 ) -> BenchDocument:
@@ -38,15 +47,17 @@ def write(
 
     Parameters
     ----------
-    columns : sequence of Column
-        Of the table in the Markdown.
+    tables : sequence of Table
+        What the Markdown shows of the rows.
     text : str
         What was measured, and under which conditions: the paragraph under the title.
     pictures : sequence of str
         File names of plots in ``out``.
     """
     document = BenchDocument(name=name, machine=machine(), commit=commit(), rows=rows, checks=checks)
-    parts = [f"# {name}", text, markdown_table(rows, columns)]
+    parts = [f"# {name}", text]
+    for table in tables:
+        parts += [f"## {table.title}", markdown_table(table.rows, table.columns)]
     parts += [f"![{picture}]({picture})" for picture in pictures]
     if checks:
         parts += ["## Checks", markdown_checks(checks)]

@@ -7,17 +7,21 @@ from __future__ import annotations
 import contextlib
 import multiprocessing
 import resource
+import signal
 import statistics
 import time
+import traceback
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from typing import Any, TypeVar
 
 from lfrig.contracts.errors import CheckFailed, LfrigError
+from lfrig.contracts.progress import Monitor
 
 T = TypeVar("T")
 KIB_PER_MIB = 1024
+POLL_S = 0.2
 
 
 @dataclass(frozen=True)
@@ -47,7 +51,21 @@ def stopwatch() -> Iterator[Stopwatch]:
     watch.cost = Cost(time.perf_counter() - wall, _cpu_s() - cpu)
 
 
-def in_fresh_process(function: Callable[..., T], *args: object) -> tuple[T, Cost]:
+class Muted(Monitor):
+    """Hears of the outer monitor's cancel and keeps warnings to itself: a benchmark's inner runs make
+    hundreds.
+    """
+
+    def __init__(self, outer: Monitor) -> None:
+        super().__init__()
+        self.outer = outer
+
+    def advance(self, steps: int = 1) -> None:
+        """Notice a cancel of the outer monitor."""
+        self.outer.advance(0)
+
+
+def in_fresh_process(function: Callable[..., T], *args: object, monitor: Monitor) -> tuple[T, Cost]:
     """Call a module-level function in a process of its own, so that its peak memory is its own.
 
     The cost is that of the call: starting Python and importing ``function``'s module are not in its times,
@@ -59,6 +77,8 @@ def in_fresh_process(function: Callable[..., T], *args: object) -> tuple[T, Cost
         What the function raised.
     CheckFailed
         The process died, which running out of memory looks like.
+    Interrupted
+        The monitor was cancelled; the process is ended.
     """
     context = multiprocessing.get_context("spawn")
     receiver, sender = context.Pipe(duplex=False)
@@ -66,6 +86,8 @@ def in_fresh_process(function: Callable[..., T], *args: object) -> tuple[T, Cost
     process.start()
     sender.close()
     try:
+        while not receiver.poll(POLL_S):
+            monitor.advance(0)
         outcome = receiver.recv()
     except EOFError:
         process.join()
@@ -74,10 +96,10 @@ def in_fresh_process(function: Callable[..., T], *args: object) -> tuple[T, Cost
         ) from None
     finally:
         receiver.close()
-        if process.is_alive():
-            process.join(timeout=10)
-        if process.is_alive():
-            process.terminate()
+        process.terminate()  # it has sent what it had, or nobody waits for it any more
+        process.join()
+    if isinstance(outcome, _Expected):
+        raise outcome.error()
     if isinstance(outcome, BaseException):
         raise outcome
     result: T
@@ -99,24 +121,35 @@ def summary(costs: Sequence[Cost]) -> dict[str, Any]:
     return fields
 
 
+@dataclass(frozen=True)
+class _Expected:
+    """An `LfrigError` on its way between processes: its subclasses have constructors that pickle cannot call."""
+
+    kind: type[LfrigError]
+    message: str
+    remedy: str
+    code: str
+
+    def error(self) -> LfrigError:
+        error = self.kind.__new__(self.kind)
+        LfrigError.__init__(error, self.message, remedy=self.remedy, code=self.code)
+        return error
+
+
 def _call(sender: Connection, function: Callable[..., object], args: tuple[object, ...]) -> None:
     """What the fresh process does."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the parent decides
     try:
         with stopwatch() as watch:
             result = function(*args)
         assert watch.cost is not None
         sender.send((result, Cost(watch.cost.wall_s, watch.cost.cpu_s, _peak_rss_mb())))
     except LfrigError as error:
-        sender.send(_portable(error))
+        sender.send(_Expected(type(error), error.message, error.remedy, error.code))
+    except Exception:
+        sender.send(RuntimeError(f"in a process of its own:\n{traceback.format_exc()}"))
     finally:
         sender.close()
-
-
-def _portable(error: LfrigError) -> LfrigError:
-    """The error in a form that survives pickling: subclasses have other constructors."""
-    portable = LfrigError(error.message, remedy=error.remedy, code=error.code)
-    portable.exit_code = error.exit_code
-    return portable
 
 
 def _cpu_s() -> float:

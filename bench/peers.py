@@ -38,8 +38,8 @@ class SgbmSettings:
     block_px: int = 3
     p1: int = 60
     p2: int = 400
-    uniqueness: int = 0
-    left_right_px: int = 2
+    uniqueness: int = 5
+    left_right_px: int = 1
     median_px: int = 5
     pairs: str = "cross"
 
@@ -54,10 +54,10 @@ class SweepSettings:
     """
 
     planes: int = 128
-    window_px: int = 9
+    window_px: int = 5
     keep: float = 0.5
-    p1: float = 0.1
-    p2: float = 1.0
+    p1: float = 0.4
+    p2: float = 4.0
     edge_grey: float = 30.0
 
 

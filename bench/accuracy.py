@@ -1,0 +1,245 @@
+"""What each step of the pipeline gains: the stage table over the simulated scenes, and the shipped preset per
+scene.
+
+Every number is a mean over scenes that nothing was tuned on, with the worst scene named and shown, at the b·F
+that is stated, beside both oracles. Poses are given, and again found from what the rig knows of its turntable
+alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from lfrig.bench import plots
+from lfrig.bench.accuracy_table import (
+    SETUPS,
+    SHIPPED,
+    Setup,
+    acceptance,
+    pose_errors,
+    score_fields,
+    stage_rows,
+    tables,
+)
+from lfrig.bench.cases import FAR_DEG, FULL, NEAR_DEG, Case, scene_names, shoot_case
+from lfrig.bench.document import write
+from lfrig.bench.measure import Cost, Muted, in_fresh_process
+from lfrig.bench.stages import Stage, stage_table
+from lfrig.contracts.bench import BenchDocument
+from lfrig.contracts.errors import GeometryRefused, LfrigError
+from lfrig.contracts.progress import Monitor
+from lfrig.contracts.score import LightFieldScore
+from lfrig.processing.metrics import sparsification
+from lfrig.processing.model import F32, Evidence
+from lfrig.processing.pipeline import ProcessOptions, ProcessResult, process
+from lfrig.rig.candidate import Candidate, score_candidate, score_oracles
+
+WORST_PICTURE = "accuracy-worst.png"
+STAGES_PICTURE = "accuracy-stages.png"
+
+
+@dataclass
+class Worst:
+    """The shipped preset's worst case so far, for the picture."""
+
+    mse: float = -1.0
+    title: str = ""
+    case: Case | None = None
+    disparity: F32 | None = None
+
+    def see(self, setup: Setup, case: Case, mse: float, disparity: F32) -> None:
+        """Keep the case when it is worse than the worst so far."""
+        if mse > self.mse:
+            self.mse, self.case, self.disparity = mse, case, disparity
+            self.title = f"worst case: {case.scene}, {setup.name}, MSE {mse:.4f} px²"
+
+
+@dataclass
+class Run:
+    """What a run of the benchmark collects."""
+
+    stages: Sequence[Stage]
+    threads: int
+    monitor: Monitor
+    measure_memory: bool
+    scenes: list[dict[str, Any]] = field(default_factory=list)
+    worst: Worst = field(default_factory=Worst)
+
+
+def run(
+    out: Path,
+    *,
+    monitor: Monitor | None = None,
+    threads: int = 0,
+    half: Literal["reporting", "tuning"] = "reporting",
+    scenes: Sequence[str] | None = None,
+    size: tuple[int, int] = FULL,
+    setups: Sequence[Setup] = SETUPS,
+    stages: Sequence[str] | None = None,
+    noise_sigma: float = 0.0,
+    measure_memory: bool = True,
+    cache_dir: Path | None = None,
+) -> BenchDocument:
+    """Run the benchmark; writes accuracy.json, accuracy.md and two plots into ``out``.
+
+    Parameters
+    ----------
+    half : {"reporting", "tuning"}
+        Which half of the scenes; parameters are chosen on the tuning half only.
+    scenes : sequence of str, optional
+        These scenes instead of a whole half.
+    size : (width, height)
+        Of a light-field view; the bounds hold at full size.
+    stages : sequence of str, optional
+        Keys of `stages.stage_table` to run; the shipped one is always among them.
+    noise_sigma : float
+        Noise on the recorded pixels [grey levels].
+    measure_memory : bool
+        Run the shipped preset once more per case, in a process of its own, for time and peak memory.
+    """
+    chosen = [s for s in stage_table() if stages is None or s.key in {*stages, SHIPPED}]
+    state = Run(chosen, threads, monitor or Monitor(), measure_memory)
+    names = scene_names(half, scenes)
+    total = len(names) * len(setups) * len(chosen)
+    with state.monitor.task("bench accuracy", total):
+        for scene in names:
+            for poses in dict.fromkeys(setup.poses for setup in setups):
+                case = shoot_case(
+                    scene, size, poses=poses, noise_sigma=noise_sigma, threads=threads, cache_dir=cache_dir,
+                    monitor=Muted(state.monitor),
+                )  # fmt: skip
+                _run_scene(state, case, [setup for setup in setups if setup.poses == poses])
+    rows = stage_rows(state.scenes, chosen, setups)
+    _draw(out, state, rows)
+    bounded = half == "reporting" and scenes is None and size == FULL and noise_sigma == 0
+    return write(
+        out, "accuracy", rows=[*rows, *state.scenes], checks=acceptance(rows) if bounded else [],
+        tables=tables(rows, state.scenes), text=_conditions(names, half, size, noise_sigma, state.scenes),
+        pictures=[STAGES_PICTURE, WORST_PICTURE],
+    )  # fmt: skip
+
+
+def _run_scene(state: Run, case: Case, setups: Sequence[Setup]) -> None:
+    """All setups of one scene and one way to poses; evidence is computed once, by the largest setup."""
+    evidence: list[Evidence] | None = None
+    evidence_cost = Cost(0.0, 0.0)
+    oracles: dict[str, LightFieldScore] | None = None
+    for setup in sorted(setups, key=lambda s: -s.sources):
+        part = case.with_sources(setup.sources)
+        # The shipped stage first: the one run that computes the evidence is then a whole and usual one.
+        for stage in sorted(state.stages, key=lambda s: s.key != SHIPPED):
+            row: dict[str, Any] = {"kind": "scene", "scene": case.scene, "setup": setup.name, "stage": stage.key}
+            try:
+                known = None if evidence is None else evidence[: setup.sources]
+                result = process(
+                    part.sources, part.target, part.prior, _options(part, stage, state.threads),
+                    Muted(state.monitor), evidence=known,
+                )  # fmt: skip
+                if evidence is None:
+                    evidence = [s.source.evidence for s in result.sources]
+                    evidence_cost = _stage_cost(result, only="evidence")
+                    oracles = _oracles(result, case, state)
+                share = setup.sources / len(evidence)
+                row |= _scene_row(result, case, oracles, evidence_cost, share, state)
+                if stage.key == SHIPPED:
+                    state.worst.see(setup, case, row["mse"], result.light_field.disparity)
+            except GeometryRefused as refusal:
+                row |= {"refused": refusal.code, "message": refusal.message}
+            if stage.key == SHIPPED and "refused" not in row and state.measure_memory:
+                row |= _measured(part, stage, state)
+            state.scenes.append(row)
+            state.monitor.advance()
+
+
+def _options(case: Case, stage: Stage, threads: int) -> ProcessOptions:
+    return case.options(settings=stage.settings, threads=threads)
+
+
+def _oracles(result: ProcessResult, case: Case, state: Run) -> dict[str, LightFieldScore]:
+    """The oracles of a scene: they depend on the photo and the truth alone."""
+    assert case.truth.views is not None
+    truth = case.truth.disparity(case.request.baseline_m, case.request.focus_distance_m)
+    return score_oracles(
+        result.target.image8, case.truth, truth, case.truth.views,
+        threads=state.threads, monitor=Muted(state.monitor),
+    )  # fmt: skip
+
+
+def _scene_row(
+    result: ProcessResult,
+    case: Case,
+    oracles: dict[str, LightFieldScore] | None,
+    evidence_cost: Cost,
+    share: float,
+    state: Run,
+) -> dict[str, Any]:
+    candidate = Candidate.of(result.light_field, metric=result.metric)
+    score, error_px = score_candidate(
+        candidate, case.truth, oracles=oracles, threads=state.threads, monitor=Muted(state.monitor)
+    )
+    cost = _stage_cost(result)
+    reused = all(stage.name != "evidence" or stage.cpu_s < 0.5 * evidence_cost.cpu_s for stage in result.stages)
+    add = share if reused else 0.0
+    return {
+        **score_fields(score),
+        "ause": sparsification(error_px, result.light_field.surface.confidence).ause,
+        "wall_s": cost.wall_s + add * evidence_cost.wall_s,
+        "cpu_s": cost.cpu_s + add * evidence_cost.cpu_s,
+        **pose_errors(result, case),
+        "warnings": [notice.code for notice in result.notices],
+    }
+
+
+def _stage_cost(result: ProcessResult, only: str | None = None) -> Cost:
+    stages = [stage for stage in result.stages if only in (None, stage.name)]
+    return Cost(sum(s.wall_s for s in stages), sum(s.cpu_s for s in stages))
+
+
+def process_alone(case: Case, options: ProcessOptions) -> Cost:
+    """What a process of its own runs: the whole pipeline once; its cost by its own clock."""
+    return _stage_cost(process(case.sources, case.target, case.prior, options, Monitor()))
+
+
+def _measured(case: Case, stage: Stage, state: Run) -> dict[str, Any]:
+    """Time and peak memory of the shipped preset, in a process of its own."""
+    options = _options(case, stage, state.threads)
+    try:
+        cost, whole = in_fresh_process(process_alone, case.without_views(), options, monitor=state.monitor)
+    except GeometryRefused:
+        raise
+    except LfrigError as error:
+        return {"peak_rss_note": error.message}
+    return {"wall_s": cost.wall_s, "cpu_s": cost.cpu_s, "peak_rss_mb": whole.peak_rss_mb, "runs": 1}
+
+
+def _draw(out: Path, state: Run, rows: Sequence[dict[str, Any]]) -> None:
+    groups: dict[str, dict[str, float]] = {}
+    for row in rows:
+        if "mse" in row:
+            groups.setdefault(row["stage"], {})[row["setup"]] = row["mse"]
+    plots.bars(out / STAGES_PICTURE, groups, title="mean disparity MSE by stage", unit="px²")
+    worst = state.worst
+    if worst.case is not None and worst.disparity is not None:
+        request = worst.case.request
+        plots.error_picture(
+            out / WORST_PICTURE, worst.case.target.image8,
+            worst.case.truth.disparity(request.baseline_m, request.focus_distance_m), worst.disparity,
+            title=worst.title,
+        )  # fmt: skip
+
+
+def _conditions(
+    names: Sequence[str], half: str, size: tuple[int, int], noise_sigma: float, scenes: Sequence[dict[str, Any]]
+) -> str:
+    bf = next((row["bf_px_m"] for row in scenes if "bf_px_m" in row), float("nan"))
+    return (
+        f"{len(names)} scenes of the {half} half ({', '.join(names)}), light-field views of {size[0]}×{size[1]} px, "
+        f"errors in px per view step at bF = {bf:.3f} px·m, noise σ {noise_sigma:g}. Two sources stand at "
+        f"{NEAR_DEG[0]:g}° and {NEAR_DEG[1]:+g}° from the target, four also at {FAR_DEG[0]:g}° and {FAR_DEG[1]:+g}°; "
+        "every capture has its own zoom, focus, exposure and white balance. 15 px at the border are not scored. CPU "
+        "s is user + system time of the whole process; every row counts the disparity evidence, which is computed "
+        "once per scene; rows with a peak memory were run whole in a process of their own."
+    )

@@ -1,0 +1,162 @@
+"""Rows, checks and tables of the accuracy benchmark."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from lfrig.bench.cases import Case
+from lfrig.bench.document import Column, Table
+from lfrig.bench.stages import Stage
+from lfrig.contracts.bench import Check
+from lfrig.contracts.score import ScoreDocument
+from lfrig.processing.geometry import relative_pose, rotation_angle_deg
+from lfrig.processing.pipeline import ProcessResult
+from lfrig.sim.rig import Poses
+
+SHIPPED = "snap"
+"""Key of the stage that preset fast is."""
+
+
+@dataclass(frozen=True)
+class Setup:
+    """One configuration: how many sources, and where the poses come from."""
+
+    sources: int
+    poses: Poses
+
+    @property
+    def name(self) -> str:
+        """As shown in tables."""
+        return f"{self.sources} sources, {'poses given' if self.poses == 'given' else 'turntable prior'}"
+
+
+SETUPS = (Setup(2, "given"), Setup(2, "prior"), Setup(4, "given"), Setup(4, "prior"))
+
+
+def score_fields(score: ScoreDocument) -> dict[str, Any]:
+    """The numbers of a score, flat: those of all pixels by their names, of the others with their class."""
+    fields: dict[str, Any] = {"bf_px_m": score.bf_px_m, **score.disparity["all"].model_dump()}
+    for name, part in score.disparity.items():
+        if name != "all":
+            fields |= {f"mse_{name}": part.mse, f"ppe_010_{name}": part.ppe_010}
+    views = score.views_clean or score.views
+    if views is not None:
+        fields |= {"psnr": views.psnr, "ssim": views.ssim, "psnr_corners": views.psnr_corners}
+        fields |= {f"psnr_{name}": oracle.psnr for name, oracle in score.oracles.items()}
+        fields["below_z_buffer_db"] = score.psnr_below_z_buffer_db
+    return fields
+
+
+def pose_errors(result: ProcessResult, case: Case) -> dict[str, float]:
+    """Worst error over the sources of the pose relative to the target, and the target's focal length."""
+    true_camera, true_target = case.cameras[case.target.id]
+    degrees, metres = [], []
+    for source in (found.source for found in result.sources):
+        rotation, translation = relative_pose(result.target_pose, source.pose)
+        true_rotation, true_translation = relative_pose(true_target, case.cameras[source.light_field.id][1])
+        degrees.append(rotation_angle_deg(rotation, true_rotation))
+        metres.append(float(np.linalg.norm(translation - true_translation)))
+    return {
+        "pose_error_deg": max(degrees),
+        "pose_error_mm": 1000 * max(metres),
+        "focal_error_pct": 100 * (result.target_camera.focal_px / true_camera.focal_px - 1),
+    }
+
+
+def stage_rows(
+    scenes: Sequence[dict[str, Any]], stages: Sequence[Stage], setups: Sequence[Setup]
+) -> list[dict[str, Any]]:
+    """Means over the scenes per setup and stage, the worst scene named, and the gain over the first stage."""
+    rows: list[dict[str, Any]] = []
+    for setup in setups:
+        reference: float | None = None
+        for stage in stages:
+            mine = [r for r in scenes if r["setup"] == setup.name and r["stage"] == stage.key]
+            scored = [r for r in mine if "refused" not in r]
+            row: dict[str, Any] = {
+                "kind": "mean", "setup": setup.name, "sources": setup.sources, "poses": setup.poses,
+                "stage": stage.key, "title": stage.title, "scenes": len(scored),
+                "refused": [r["scene"] for r in mine if "refused" in r],
+            }  # fmt: skip
+            rows.append(row)
+            if not scored:
+                continue
+            row |= mean_fields(scored)
+            worst = max(scored, key=lambda r: float(r["mse"]))
+            row |= {"worst": worst["scene"], "worst_mse": worst["mse"]}
+            peaks = [r["peak_rss_mb"] for r in scored if r.get("peak_rss_mb") is not None]
+            if peaks:
+                row["peak_rss_mb"] = max(peaks)
+            reference = row["mse"] if reference is None else reference
+            row["mse_ratio"] = row["mse"] / reference
+    return rows
+
+
+def mean_fields(rows: Sequence[dict[str, Any]]) -> dict[str, float]:
+    """Mean of every numeric field that all rows have."""
+    names = [name for name, value in rows[0].items() if isinstance(value, (int, float)) and not isinstance(value, bool)]
+    return {
+        name: float(np.mean([row[name] for row in rows]))
+        for name in names
+        if all(isinstance(row.get(name), (int, float)) for row in rows)
+    }
+
+
+def acceptance(rows: Sequence[dict[str, Any]]) -> list[Check]:
+    """The bounds that the shipped preset has to keep, for every setup."""
+    checks = []
+    for row in rows:
+        if row["stage"] != SHIPPED or "mse" not in row:
+            continue
+        for name, bound, direction, why in BOUNDS:
+            checks.append(Check.of(f"{row['setup']}: {name}", row[name], direction, bound, why))
+        checks.append(
+            Check.of(
+                f"{row['setup']}: scenes refused", len(row["refused"]), "<=", 0,
+                "a mean over fewer scenes is not the same mean",
+            )
+        )  # fmt: skip
+    return checks
+
+
+BOUNDS: tuple[tuple[str, float, Literal["<=", ">="], str], ...] = (
+    ("mse", 0.004, "<=", "twice what the prototype reached on four scenes; edges and unseen areas make it up"),
+    ("ppe_005", 88.0, ">=", "a tenth of the smallest step that refocusing shows"),
+    ("ppe_010", 94.0, ">=", "the pixels that a viewer would call right"),
+    ("below_z_buffer_db", 1.0, "<=", "what geometry may cost of the views' quality"),
+)
+
+SCORES = (
+    Column("mse", "MSE px²", ".5f"), Column("ppe_005", "PPE .05 %", ".1f"), Column("ppe_010", "PPE .1 %", ".1f"),
+    Column("rmse_over_range", "RMSE / range", ".4f"), Column("mse_edge", "MSE edge", ".5f"),
+    Column("mse_textureless", "MSE textureless", ".5f"), Column("psnr", "PSNR dB", ".2f"),
+    Column("ssim", "SSIM", ".4f"),
+    Column("psnr_z_buffer", "z-buffer oracle", ".2f"), Column("psnr_fixed_point", "fixed-point oracle", ".2f"),
+    Column("below_z_buffer_db", "below oracle dB", ".2f"),
+)  # fmt: skip
+COSTS = (
+    Column("cpu_s", "CPU s", ".1f"), Column("wall_s", "wall s", ".1f"), Column("peak_rss_mb", "peak MB", ".0f"),
+)  # fmt: skip
+STAGE_COLUMNS = (
+    Column("setup", "setup"), Column("title", "stage"), *SCORES, Column("mse_ratio", "MSE / A", ".3f"),
+    Column("worst", "worst scene"), Column("worst_mse", "its MSE", ".5f"), *COSTS, Column("refused", "refused"),
+)  # fmt: skip
+SCENE_COLUMNS = (
+    Column("scene", "scene"), Column("setup", "setup"), *SCORES, Column("mse_aligned", "MSE aligned", ".5f"),
+    Column("ause", "AUSE", ".3f"), Column("pose_error_deg", "pose °", ".3f"),
+    Column("pose_error_mm", "pose mm", ".2f"), Column("focal_error_pct", "focal %", ".2f"), *COSTS,
+    Column("refused", "refused"), Column("warnings", "warnings"),
+)  # fmt: skip
+
+
+def tables(rows: Sequence[dict[str, Any]], scenes: Sequence[dict[str, Any]]) -> list[Table]:
+    """The stage table, and the shipped preset scene by scene."""
+    shipped = sorted((row for row in scenes if row["stage"] == SHIPPED), key=lambda row: str(row["scene"]))
+    return [
+        Table("Stages: means over the scenes", rows, STAGE_COLUMNS),
+        Table("Preset fast, scene by scene", shipped, SCENE_COLUMNS),
+    ]
