@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+
 from lfrig.contracts.capture import CameraSpec, CaptureDocument, OpticsSpec, PoseSpec
 from lfrig.contracts.errors import BadInput
 from lfrig.contracts.session import RigSpec

@@ -14,9 +14,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
 from lfrig.contracts.capture import CameraSpec, ExposureSpec
 from lfrig.processing.model import Image
-from lfrig.rig.session.images import Pixels, open_pillow, read_bytes, read_image
+from lfrig.rig.session.images import Pixels, open_pillow, quiet_pillow, read_bytes, read_image
 
 _ORIENTATION, _EXIF_IFD = 0x0112, 0x8769
 _EXPOSURE_TIME, _ISO, _TIME = 0x829A, 0x8827, 0x9003
@@ -56,10 +57,11 @@ def read_exif(path: Path) -> Exif:
     """EXIF of a picture file; empty when it has none or a damaged one. Raises `BadInput` for no picture at all."""
     with open_pillow(read_bytes(path), path) as picture:
         try:
-            exif = picture.getexif()
-            tags = {**exif, **exif.get_ifd(_EXIF_IFD)}
+            with quiet_pillow():
+                exif = picture.getexif()
+                tags = {**exif, **exif.get_ifd(_EXIF_IFD)}
         # A damaged block costs the metadata, not the picture; Pillow answers it with any of these.
-        except (OSError, ValueError, SyntaxError, TypeError, KeyError, IndexError, struct.error, UserWarning):
+        except (OSError, ValueError, SyntaxError, TypeError, KeyError, IndexError, struct.error):
             return Exif()
     orientation = tags.get(_ORIENTATION, 1)
     return Exif(orientation if orientation in range(1, 9) else 1, tags)

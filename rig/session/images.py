@@ -6,13 +6,18 @@ report a torn file on stderr only; TIFF of 16 bits through tifffile, the rest th
 
 from __future__ import annotations
 
+import contextlib
 import io
 import struct
+import threading
+import warnings
 import zlib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
+
 from lfrig.contracts.errors import BadInput
 from lfrig.contracts.files import disk_errors
 from lfrig.processing.model import U8, Image
@@ -24,6 +29,7 @@ MAX_FILE_BYTES = 1 << 30
 IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".ppm", ".pgm", ".webp"})
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _TIFF_SIGNATURES = (b"II*\0", b"MM\0*")
+_WARNINGS = threading.RLock()
 _READABLE = "give a PNG, JPEG or TIFF file"
 
 
@@ -131,14 +137,26 @@ def check_size(width: int, height: int, path: Path) -> None:
         )
 
 
+@contextlib.contextmanager
+def quiet_pillow() -> Iterator[None]:
+    """Pillow warns of damaged metadata and of large pictures on stderr; here neither is its business.
+
+    Python's warning filters belong to the process: hence the lock, and only short work inside.
+    """
+    with _WARNINGS, warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        yield
+
+
 def open_pillow(data: bytes, path: Path) -> Any:
     """An undecoded Pillow image, its size within bounds; raises `BadInput`."""
     from PIL import Image as Pillow
     from PIL import UnidentifiedImageError
 
     try:
-        picture = Pillow.open(io.BytesIO(data))
-    except (Pillow.DecompressionBombError, Pillow.DecompressionBombWarning):
+        with quiet_pillow():
+            picture = Pillow.open(io.BytesIO(data))
+    except Pillow.DecompressionBombError:
         raise BadInput(
             f"claims more than the {MAX_PIXELS / 1e6:.0f} million px that are read",
             path=path, code="image-too-large", remedy="make it smaller first",

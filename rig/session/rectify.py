@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+
 from lfrig.contracts.capture import CameraSpec
 from lfrig.processing.model import F32, Camera
 from lfrig.rig.session.images import Pixels

@@ -8,6 +8,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
+
 from lfrig.contracts.errors import BadInput
 from lfrig.contracts.progress import Monitor
 from lfrig.processing.model import U8
