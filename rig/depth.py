@@ -1,13 +1,7 @@
-"""Disparity of one light field alone, written to a folder.
+"""Disparity of one light field alone, in a folder of its own.
 
-=====================  =============================================================================
-``disparity.pfm``      float32 [H, W] px per view step, centre view
-``confidence.npy``     float32 [H, W] in 0..1
-``inverse_depth.npy``  float32 [H, W] 1/m, where baseline, focus and focal length are known
-``disparity.png``      the disparity in colours, its 1st to 99th percentile from blue (far) to red (near)
-``centre.png``         the view that the maps belong to
-``depth.json``         range, size, views used, noise
-=====================  =============================================================================
+Beside what `lfrig.processing.report.depth_page.write_depth_result` writes: ``inverse_depth.npy``, float32 [H, W] 1/m,
+where baseline, focus and focal length are known; and ``depth.json``, what was found out.
 """
 
 from __future__ import annotations
@@ -23,11 +17,7 @@ import numpy as np
 from lfrig.contracts.files import atomic_folder, atomic_write_bytes, atomic_write_text, refuse_existing
 from lfrig.contracts.progress import Monitor
 from lfrig.processing.depth import DepthMap, estimate_disparity
-from lfrig.processing.export.pfm import write_pfm
-from lfrig.processing.export.png import write_png
-from lfrig.processing.model import F32, U8, LightField
-
-COLOUR_PERCENTILES = (1.0, 99.0)
+from lfrig.processing.model import F32, LightField
 
 
 @dataclass(frozen=True)
@@ -61,6 +51,7 @@ def depth_of_light_field(
     DiskError
         Writing failed.
     """
+    from lfrig.processing.report.depth_page import write_depth_result
     from lfrig.rig.ingest import open_light_field
 
     monitor = monitor or Monitor()
@@ -69,13 +60,12 @@ def depth_of_light_field(
     with atomic_folder(out, overwrite=overwrite) as folder:
         depth = estimate_disparity(light_field, disparity_range, threads=threads, monitor=monitor)
         document = _document(light_field, depth)
-        write_pfm(folder / "disparity.pfm", depth.disparity)
-        _write_npy(folder / "confidence.npy", depth.confidence)
+        write_depth_result(folder, light_field, depth)
         inverse_depth = inverse_depth_of(light_field, depth.disparity)
         if inverse_depth is not None:
-            _write_npy(folder / "inverse_depth.npy", inverse_depth)
-        write_png(folder / "disparity.png", colours(depth.disparity))
-        write_png(folder / "centre.png", light_field.centre_view)
+            stream = io.BytesIO()
+            np.save(stream, inverse_depth, allow_pickle=False)
+            atomic_write_bytes(folder / "inverse_depth.npy", stream.getvalue())
         atomic_write_text(folder / "depth.json", json.dumps(document, indent=1, allow_nan=False) + "\n")
     return DepthOutcome(out, document)
 
@@ -88,17 +78,6 @@ def inverse_depth_of(light_field: LightField, disparity: F32) -> F32 | None:
     return np.asarray(disparity / (optics.baseline_m * camera.focal_px) + 1 / optics.focus_distance_m, np.float32)
 
 
-def colours(disparity: F32) -> U8:
-    """A disparity map as uint8 [H, W, 3] RGB, near is red; unknown is black."""
-    import cv2
-
-    known = np.isfinite(disparity)
-    low, high = np.percentile(disparity[known], COLOUR_PERCENTILES) if known.any() else (0.0, 1.0)
-    scaled = np.clip((np.where(known, disparity, low) - low) / max(high - low, 1e-6), 0, 1)
-    picture = cv2.applyColorMap((scaled * 255).astype(np.uint8), cv2.COLORMAP_TURBO)[..., ::-1]
-    return np.ascontiguousarray(np.where(known[..., None], picture, 0), np.uint8)
-
-
 def _document(light_field: LightField, depth: DepthMap) -> dict[str, Any]:
     rows, cols = light_field.angular
     return {
@@ -107,9 +86,3 @@ def _document(light_field: LightField, depth: DepthMap) -> dict[str, Any]:
         "planes": depth.evidence.planes, "noise_sigma": float(depth.evidence.noise_sigma),
         "mean_confidence": float(np.mean(depth.confidence)),
     }  # fmt: skip
-
-
-def _write_npy(path: Path, array: F32) -> None:
-    stream = io.BytesIO()
-    np.save(stream, np.ascontiguousarray(array, np.float32), allow_pickle=False)
-    atomic_write_bytes(path, stream.getvalue())

@@ -17,10 +17,12 @@ import os
 import sys
 from collections.abc import Sequence
 
+from lfrig.contracts.errors import ExitCode
 from lfrig.rig.cli.failures import explain
 from lfrig.rig.cli.run import Run, hoist_globals
 
 PIPE_CLOSED = 0
+"""Exit code when the reader of stdout has gone: what was asked for was done."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -44,7 +46,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         with run.signals():
             value = app(args=arguments, prog_name="lfrig", standalone_mode=False, obj=run)
         code = value if isinstance(value, int) else 0
-        if code == KeyboardInterruptCode:
+        if code == ExitCode.INTERRUPTED:  # what typer makes of a KeyboardInterrupt
             raise KeyboardInterrupt
     except BrokenPipeError:
         _discard_stdout()
@@ -56,10 +58,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     finally:
         run.close()
     return _flush(code)
-
-
-KeyboardInterruptCode = 130
-"""What typer returns, in place of the exception, after a KeyboardInterrupt."""
 
 
 def _flush(code: int) -> int:

@@ -55,7 +55,7 @@ def depth(
     outcome = depth_of_light_field(
         light_field, out, bounds, overwrite=overwrite, threads=run.threads, monitor=run.monitor
     )
-    run.emit({"path": outcome.folder, **outcome.document}, lambda console: _show([f"{out}/disparity.png"], console))
+    run.emit({"path": outcome.folder, **outcome.document}, lambda console: _show([f"{out}/report.html"], console))
 
 
 def process(

@@ -132,8 +132,12 @@ def text_console() -> Console:
     """A rich console on stdout that never breaks lines where stdout is no terminal."""
     from rich.console import Console
 
-    console = Console(file=sys.stdout, highlight=False)
-    return console if console.is_terminal else Console(file=sys.stdout, highlight=False, width=200)
+    class Quitting(Console):
+        def on_broken_pipe(self) -> None:
+            raise BrokenPipeError  # rich would exit with 1; nobody reading on is no failure
+
+    console = Quitting(file=sys.stdout, highlight=False)
+    return console if console.is_terminal else Quitting(file=sys.stdout, highlight=False, width=200)
 
 
 def plain(value: Any) -> Any:

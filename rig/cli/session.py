@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lfrig.rig.cli import options as parse
-from lfrig.rig.cli.run import Run, plain
+from lfrig.rig.cli.run import Run
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -77,40 +77,14 @@ def info(
     path: Annotated[Path, typer.Argument(metavar="PATH", help="A file, a session or a result.")],
 ) -> None:
     """What this file, session or result is."""
-    from lfrig.rig.info import describe
+    from lfrig.rig.info import describe, text_lines
 
     run: Run = context.obj
-    found = plain(describe(path))
-    run.emit(found, lambda console: _show_info(found, console))
+    found = describe(path)
+    run.emit(found, lambda console: console.print("\n".join(text_lines(found)), markup=False, soft_wrap=True))
 
 
 def _show_ingested(captures: list[IngestedCapture], console: Console) -> None:
     for item in captures:
         fate = "there already" if item.skipped else item.format
         console.print(f"{item.id}  {item.kind:<11}  {item.source}  ({fate})", markup=False, soft_wrap=True)
-
-
-def _show_info(found: dict[str, Any], console: Console) -> None:
-    from rich.pretty import Pretty
-    from rich.table import Table
-
-    captures = found.pop("captures", None)
-    for name, value in found.items():
-        if value not in (None, [], {}):
-            console.print(f"{name:<17}", Pretty(value) if isinstance(value, dict | list) else str(value))
-    if captures:
-        columns = list(dict.fromkeys(key for capture in captures for key in capture))
-        table = Table(box=None, pad_edge=False, header_style="bold")
-        for column in columns:
-            table.add_column(column)
-        for capture in captures:
-            table.add_row(*(_cell(capture.get(column)) for column in columns))
-        console.print(table)
-
-
-def _cell(value: Any) -> str:
-    if value is None:
-        return "?"
-    if isinstance(value, list):
-        return "×".join(map(str, value))
-    return f"{value:.6g}" if isinstance(value, float) else str(value)

@@ -71,8 +71,16 @@ def _difference_cells(found: MapDifference) -> list[str]:
     return [str(found.pixels), str(found.only_one), *(f"{value:.3g}" for value in values)]
 
 
+class _Table(Table):
+    """A plain table whose cells are never read as markup: ``focus [m]`` is a unit, not a style."""
+
+    def add_row(self, *cells: Any, **style: Any) -> None:
+        """Add a row of strings."""
+        super().add_row(*map(Text, cells), **style)
+
+
 def _table(*columns: str) -> Table:
-    table = Table(box=None, pad_edge=False, header_style="bold")
+    table = _Table(box=None, pad_edge=False, header_style="bold")
     for number, column in enumerate(columns):
-        table.add_column(column, justify="left" if number == 0 else "right")
+        table.add_column(Text(column), justify="left" if number == 0 else "right")
     return table
