@@ -55,9 +55,11 @@ class OwnNotices(Monitor):
         """Cancel the outer work."""
         self._outer.cancel()
 
-    def task(self, name: str, total: int | None = None) -> contextlib.AbstractContextManager[None]:
+    @contextlib.contextmanager
+    def task(self, name: str, total: int | None = None) -> Iterator[None]:
         """A task of the outer monitor."""
-        return self._outer.task(name, total)
+        with self._outer.task(name, total):
+            yield
 
     def advance(self, steps: int = 1) -> None:
         """Progress of the outer monitor; raises `Interrupted` after a cancel."""
