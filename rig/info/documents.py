@@ -8,7 +8,7 @@ from lfrig.contracts.bench import BenchDocument
 from lfrig.contracts.result import ReportDocument
 from lfrig.contracts.score import ScoreDocument
 from lfrig.contracts.truth import TruthDocument
-from lfrig.rig.info.text import Description
+from lfrig.rig.info.text import Description, count
 
 RESULT_FILES = ("disparity.pfm", "disparity_sigma.npy", "confidence.npy", "inverse_depth.npy", "report.html")
 
@@ -35,7 +35,7 @@ def describe_report(report: ReportDocument) -> Description:
     return {
         "type": "report",
         "summary": f"result, preset {report.preset}, {target.rows}×{target.cols} views of "
-        f"{target.width}×{target.height} px from {len(report.sources)} sources",
+        f"{target.width}×{target.height} px from {count(len(report.sources), 'source')}",
         "target": target.model_dump(mode="json", exclude_none=True, exclude={"pose"}),
         "poses": report.poses,
         "sources": [{"id": s.id, "anchors": s.anchors, "inliers": s.inliers} for s in report.sources],
@@ -75,7 +75,7 @@ def describe_bench(path: Path) -> Description:
     bench = BenchDocument.load(path)
     return {
         "type": "bench",
-        "summary": f"benchmark {bench.name!r}, {len(bench.rows)} rows, {len(bench.checks)} checks",
+        "summary": f"benchmark {bench.name!r}, {count(len(bench.rows), 'row')}, {count(len(bench.checks), 'check')}",
         "machine": bench.machine,
         "commit": bench.commit,
         "problems": [

@@ -8,7 +8,7 @@ from pathlib import Path
 from lfrig.contracts.capture import CaptureDocument
 from lfrig.contracts.errors import LfrigError, NotInThisVersion
 from lfrig.contracts.session import RigSpec
-from lfrig.rig.info.text import Description, inline
+from lfrig.rig.info.text import Description, count, inline
 from lfrig.rig.session.capture_folder import CAPTURE_FILE, content_files
 from lfrig.rig.session.store import CAPTURES, SESSION_FILE, SessionStore
 
@@ -27,7 +27,7 @@ def describe_session(path: Path) -> Description:
         except LfrigError as error:
             problems.append(f"capture {capture_id}: {error.message}")
     kinds = [row["kind"] for row in captures]
-    counts = f"{_count(kinds.count('light_field'), 'light field')}, {_count(kinds.count('photo'), 'photo')}"
+    counts = f"{count(kinds.count('light_field'), 'light field')}, {count(kinds.count('photo'), 'photo')}"
     known = store.document.rig.model_dump(mode="json", exclude_none=True)
     return {
         "type": "session",
@@ -128,10 +128,6 @@ def _missing_files(folder: Path, document: CaptureDocument) -> list[str]:
     if document.kind == "light_field" and document.views is None:
         problems.append("raw only, and decoding is not in this version")
     return problems
-
-
-def _count(number: int, what: str) -> str:
-    return f"{number} {what}" if number == 1 else f"{number} {what}s"
 
 
 def _names(entries: Iterable[Path]) -> list[str]:

@@ -28,6 +28,11 @@ def inline(value: Any) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
+def count(number: int, what: str) -> str:
+    """``1 photo``, ``2 photos``."""
+    return f"{number} {what}" if number == 1 else f"{number} {what}s"
+
+
 def _lines(name: str, value: Any, indent: str) -> list[str]:
     if isinstance(value, dict):
         inner = [line for key, item in value.items() for line in _lines(str(key), item, indent + "  ")]

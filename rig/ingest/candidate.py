@@ -21,6 +21,11 @@ from lfrig.processing.model import LightField
 Kind = Literal["light_field", "photo"]
 
 
+def in_words(kind: Kind) -> str:
+    """The kind as a person would write it."""
+    return kind.replace("_", " ")
+
+
 @dataclass(frozen=True)
 class Request:
     """What the user said about a source; None = find out."""

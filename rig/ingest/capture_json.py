@@ -6,7 +6,7 @@ from pathlib import Path
 
 from lfrig.contracts.capture import CaptureDocument
 from lfrig.contracts.errors import BadInput, NotInThisVersion
-from lfrig.rig.ingest.candidate import Candidate, Request
+from lfrig.rig.ingest.candidate import Candidate, Request, in_words
 from lfrig.rig.ingest.photo import PhotoFile
 from lfrig.rig.ingest.view_files import ViewFiles
 from lfrig.rig.session.capture_folder import CAPTURE_FILE, content_files, view_files
@@ -23,7 +23,7 @@ def recognise(path: Path, request: Request) -> Candidate | None:
     document = CaptureDocument.load(folder / CAPTURE_FILE)
     if request.kind is not None and request.kind != document.kind:
         raise BadInput(
-            f"is a {document.kind}, not a {request.kind}", path=folder / CAPTURE_FILE, field="kind",
+            f"is a {in_words(document.kind)}, not a {in_words(request.kind)}", path=folder / CAPTURE_FILE, field="kind",
             remedy="leave --as out",
         )  # fmt: skip
     content = tuple(content_files(folder, document))

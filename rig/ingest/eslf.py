@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+
 from lfrig.contracts.capture import CameraSpec, ViewsSpec
 from lfrig.contracts.errors import BadInput
 from lfrig.contracts.progress import Monitor, Notice

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from lfrig.contracts.errors import BadInput, NotInThisVersion
 from lfrig.rig.ingest import capture_json, eslf, hci, photo, sai
-from lfrig.rig.ingest.candidate import Candidate, Request
+from lfrig.rig.ingest.candidate import Candidate, Request, in_words
 from lfrig.rig.session.store import SESSION_FILE
 
 LYTRO_SUFFIXES = frozenset({".lfr", ".lfp", ".raw"})
@@ -57,4 +57,4 @@ def recognise(path: Path, request: Request) -> Candidate:
 
 
 def _as(request: Request) -> str:
-    return f" as a {request.kind.replace('_', ' ')}" if request.kind else ""
+    return f" as a {in_words(request.kind)}" if request.kind else ""

@@ -69,37 +69,42 @@ def _by_pattern(folder: Path, pattern: str) -> Found:
 
 
 def _by_numbers(folder: Path, names: list[str]) -> Found:
+    """Find row and column in the names that are alike but for their digits."""
     groups: dict[str, list[str]] = defaultdict(list)
     for name in names:
         groups[_NUMBER.sub("#", name)].append(name)
-    skeleton, members = max(groups.items(), key=lambda item: len(item[1]))
+    members = max(groups.values(), key=len)
     numbers = [[int(run) for run in _NUMBER.findall(name)] for name in members]
-    varying = [i for i in range(skeleton.count("#")) if len({row[i] for row in numbers}) > 1]
-    pairs = list(combinations(varying, 2))
-    for pair in pairs:
-        if _is_full({(row[pair[0]], row[pair[1]]) for row in numbers}, len(members)):
-            return _place(folder, members, [(row[pair[0]], row[pair[1]]) for row in numbers]), None
-    side = math.isqrt(len(members))
-    if len(varying) == 1 and side * side == len(members):
-        counts = [row[varying[0]] for row in numbers]
-        first = min(counts)
-        if max(counts) - first == len(members) - 1:
-            places = [divmod(count - first, side) for count in counts]
+    varying = [i for i, values in enumerate(zip(*numbers, strict=True)) if len(set(values)) > 1]
+    pairs = {pair: [(row[pair[0]], row[pair[1]]) for row in numbers] for pair in combinations(varying, 2)}
+    for places in pairs.values():
+        if _is_full(places):
             return _place(folder, members, places), None
-    if pairs:  # a grid with holes: the caller says which
-        places = [(row[pairs[0][0]], row[pairs[0][1]]) for row in numbers]
-        if len(set(places)) == len(places):
-            return _place(folder, members, places), _name_like(members[0], pairs[0])
+    if len(varying) == 1:
+        counted = _count_up([row[varying[0]] for row in numbers])
+        if counted is not None:
+            return _place(folder, members, counted), None
+    for pair, places in pairs.items():
+        if len(set(places)) == len(places):  # a grid with holes: the caller says which
+            return _place(folder, members, places), _name_like(members[0], pair)
     raise BadInput(
         f"{len(members)} pictures like {members[0]!r} make no grid of rows and columns", path=folder,
         code="no-view-grid", remedy='say how they are named: --pattern "name_{row:02d}_{col:02d}.png"',
     )  # fmt: skip
 
 
-def _is_full(places: set[tuple[int, int]], count: int) -> bool:
-    """Whether ``count`` files sit at that many places which fill a rectangle."""
+def _is_full(places: list[tuple[int, int]]) -> bool:
+    """Whether the places are all of a rectangle, each once."""
     rows, cols = {place[0] for place in places}, {place[1] for place in places}
-    return len(places) == count == len(rows) * len(cols)
+    return len(set(places)) == len(places) == len(rows) * len(cols)
+
+
+def _count_up(counts: list[int]) -> list[tuple[int, int]] | None:
+    """Places of numbers that count row by row through a square; None when they do not."""
+    side, first = math.isqrt(len(counts)), min(counts)
+    if sorted(counts) != list(range(first, first + side * side)):
+        return None
+    return [divmod(count - first, side) for count in counts]
 
 
 def _place(folder: Path, names: list[str], places: list[tuple[int, int]]) -> dict[tuple[int, int], Path]:
