@@ -34,9 +34,12 @@ def scene_digest(scene: PackedScene) -> bytes:
 
 @functools.cache
 def source_digest() -> bytes:
-    """Hash of the simulator's Python sources: a library scene is known by this and its name, without being built."""
+    """Hash of the sources that scenes are made by: a library scene is known by it, its name and its seed, without
+    being built. What the renderers do with a scene is told by `lfrig.sim.renderer.VERSION`.
+    """
+    here = Path(__file__).parent
     total = hashlib.sha256()
-    for path in sorted(Path(__file__).parent.rglob("*.py")):
+    for path in (here / "scene.py", here / "textures.py", here / "tone.py", *sorted((here / "scenes").glob("*.py"))):
         total.update(path.read_bytes())
     return total.digest()
 

@@ -73,6 +73,16 @@ def _away_from_zero(v: F64) -> F64:
     return np.where(np.abs(v) < TINY, TINY, v)
 
 
+def segment_meets_box(o: Triple, d: Triple, half: F64) -> NDArray[np.bool_]:
+    """Whether the segments o + s d, s in [0, 1], meet boxes of half sizes ``half`` [3, N] (local frame)."""
+    enter, leave = np.zeros(len(o[0])), np.ones(len(o[0]))
+    for axis in range(3):
+        inverse = 1.0 / _away_from_zero(d[axis])
+        s0, s1 = (-half[axis] - o[axis]) * inverse, (half[axis] - o[axis]) * inverse
+        enter, leave = np.maximum(enter, np.minimum(s0, s1)), np.minimum(leave, np.maximum(s0, s1))
+    return np.asarray(enter <= leave)
+
+
 def _no_face(t: F64) -> I64:
     return np.zeros(len(t), np.int64)
 

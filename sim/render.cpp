@@ -265,10 +265,12 @@ LFRIG_CLONES __attribute__((flatten)) void shade_row(const World &world, const C
         double colour[3] = {0, 0, 0};
         for (int s = 0; s < samples; ++s) {
             const uint32_t key = pixel + uint32_t(s) * 4U;
-            const double px = double(x) + ((double(s % how.side) + unit(hash32(key))) * step - 0.5);
-            const double py = double(y) + ((double(s / how.side) + unit(hash32(key + 1U))) * step - 0.5);
-            const double du = how.col + (unit(hash32(key + 2U)) - 0.5) * how.aperture;
-            const double dv = how.row + (unit(hash32(key + 3U)) - 0.5) * how.aperture;
+            // Multi-jittered (Chiu, Shirley & Wang 1994): every sample has its own column and its own row of the pixel.
+            const double i = double(s % how.side), j = double(s / how.side);
+            const double px = double(x) + ((i + (j + unit(hash32(key))) * step) * step - 0.5);
+            const double py = double(y) + ((j + (i + unit(hash32(key + 1U))) * step) * step - 0.5);
+            const double du = how.col + ((j + unit(hash32(key + 2U))) * step - 0.5) * how.aperture;
+            const double dv = how.row + ((i + unit(hash32(key + 3U))) * step - 0.5) * how.aperture;
             const Ray ray = view_ray(k, px, py, du, dv);
             int index;
             const Hit hit = world.nearest(ray, candidates, near_depth, index);

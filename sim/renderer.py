@@ -13,7 +13,7 @@ from lfrig.sim import culling, render_numpy
 from lfrig.sim.optics import SimCamera
 from lfrig.sim.scene import F32, F64, PackedScene
 
-VERSION = 1
+VERSION = 2
 """Part of the key of cached renders: raise it when render.cpp or its headers change a picture."""
 LAMP_GRID = 96
 LAMP_HALF_TANGENT = 0.9
@@ -36,7 +36,7 @@ def render_radiance(
     offsets : float64 [V, 2]
         (row, col) of each view in view steps from the axis.
     samples : int
-        Rays per pixel, a square (1, 4, 9, 16), stratified and jittered by a hash of seed, view, pixel and sample.
+        Rays per pixel, a square (1, 4, 9, 16), multi-jittered by a hash of seed, view, pixel and sample.
     aperture : float
         Width of each view's square pupil in view steps; 0 = pinhole.
     threads : int

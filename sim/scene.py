@@ -176,7 +176,8 @@ class Scene:
 class PackedScene:
     """A scene as arrays: ``primitives`` float64 [N, 30]; ``texels`` float32 of all mip levels; ``table`` int64
     [textures, levels, 3] = (first texel, width, height); ``lamp_points`` float64 [32, 3]; ``lamp_frame`` float64
-    [3, 3], rows, z towards the plate; ``corners`` float64 [N, 8, 3], bounding boxes in the world.
+    [3, 3], rows, z towards the plate; ``corners`` float64 [N, 8, 3], bounding boxes in the world; ``extents`` float64
+    [N, 3], their half sizes.
     """
 
     primitives: F64
@@ -186,6 +187,7 @@ class PackedScene:
     lamp_points: F64
     lamp_frame: F64
     corners: F64
+    extents: F64
 
 
 def pack(scene: Scene) -> PackedScene:
@@ -201,7 +203,7 @@ def pack(scene: Scene) -> PackedScene:
     frame = _lamp_frame(scene.lamp)
     return PackedScene(
         records, texels, table, scene.lamp, _lamp_points(scene.lamp, frame), frame,
-        np.array([_corners(p) for p in scene.primitives]),
+        np.array([_corners(p) for p in scene.primitives]), np.array([p.half_extent() for p in scene.primitives], float),
     )  # fmt: skip
 
 

@@ -76,7 +76,7 @@ def shoot(
         captures[target_id] = (
             rig.shoot_light_field(shots - 1, target_deg, monitor)
             if lf_as_target
-            else rig.shoot_photo(shots - 1, target_deg, monitor, truth_views=truth_views)
+            else rig.shoot_photo(0, target_deg, monitor, truth_views=truth_views)
         )
     truth = TruthDocument(
         scene=rig.scene_name, seed=seed, captures={name: c.truth.record for name, c in captures.items()}

@@ -59,8 +59,8 @@ def crate(side: float, away: float, half: Vec3, material: Material, yaw: float =
 
 
 def ball(side: float, away: float, radius: float, material: Material, lift: float = 0.0, yaw: float = 0.0) -> Primitive:
-    """A ball on the table; its texture's poles lean back so that they are not seen head-on."""
-    return sphere(at(side, away, lift + radius), radius, material, turned(yaw, 0.0, 20.0))
+    """A ball on the table; its texture's poles lie on the outline that the camera sees."""
+    return sphere(at(side, away, lift + radius), radius, material, turned(yaw - MIDDLE_DEG, 0.0, -28.0))
 
 
 def column(side: float, away: float, radius: float, height: float, material: Material, lift: float = 0.0) -> Primitive:

@@ -111,7 +111,7 @@ def glaze(seed: int) -> Scene:
     rust = tx.noise(seed + 2, "autumn", 0.08)
     painted = tx.dead_leaves(seed + 3, "toy", 0.1)
     glazes = [
-        cloth(t, specular=g, shininess=s) for t, g, s in ((celadon, 0.6, 50), (rust, 0.8, 120), (painted, 0.5, 200))
+        cloth(t, specular=g, shininess=s) for t, g, s in ((celadon, 1.0, 70), (rust, 1.6, 180), (painted, 1.4, 300))
     ]
     objects = [
         ball(-0.050, 0.015, 0.030, glazes[0]),
@@ -138,8 +138,12 @@ def shelf(seed: int) -> Scene:
         objects.append(crate(side, 0.030, (0.004, 0.040, 0.058), cloth(timber, shift=0.3 * k), 0))
     for k, z in enumerate((0.045, 0.112)):
         objects.append(crate(0.0, 0.030, (0.104, 0.041, 0.003), cloth(timber, shift=0.4 + 0.2 * k), 0, z))
-    goods = [tx.dead_leaves(seed + 2, "meadow", 0.09), tx.patches(seed + 3, "autumn", 0.06), tx.printed(seed + 4, width_m=0.06),
-             tx.noise(seed + 5, "dusk", 0.07)]  # fmt: skip
+    goods = [
+        tx.dead_leaves(seed + 2, "meadow", 0.09),
+        tx.patches(seed + 3, "autumn", 0.06),
+        tx.printed(seed + 4, width_m=0.06),
+        tx.noise(seed + 5, "dusk", 0.07),
+    ]
     for k, side in enumerate((-0.075, -0.040, 0.030, 0.068)):
         m = cloth(goods[k], shift=rng.uniform())
         objects.append(ball(side, 0.018, 0.0155, m) if k % 2 else crate(side, 0.028, (0.014, 0.020, 0.017), m, 10 * k))
@@ -170,7 +174,7 @@ def figurines(seed: int) -> Scene:
         paint(0.80, 0.60, 0.45, specular=0.1),
     ]
     trim = [paint(0.72, 0.16, 0.18), paint(0.22, 0.30, 0.20), paint(0.85, 0.65, 0.20)]
-    places = [(-0.065, -0.035, 0.95), (0.0, 0.02, 1.15), (0.062, -0.045, 0.85)]
+    places = [(-0.062, -0.030, 0.88), (0.0, 0.025, 1.0), (0.060, -0.040, 0.80)]
     objects: list[Primitive] = [
         column(0.0, 0.0, 0.125, 0.008, cloth(tx.wood(seed + 3, (0.46, 0.22, 0.16), (0.72, 0.46, 0.34), 0.15)))
     ]

@@ -101,11 +101,11 @@ def marbles(seed: int) -> Scene:
     spots = [(-0.07, -0.02), (-0.02, -0.06), (0.03, -0.01), (0.075, -0.05), (-0.045, 0.05), (0.05, 0.06), (0.0, 0.025)]
     for k, (side, away) in enumerate(spots):
         radius = rng.uniform(0.014, 0.026)
-        gloss = rng.uniform(0.5, 0.9)
-        objects.append(ball(side, away, radius, cloth(swirl[k % 4], specular=gloss, shininess=140, shift=0.2 * k)))
+        gloss = rng.uniform(1.2, 2.2)
+        objects.append(ball(side, away, radius, cloth(swirl[k % 4], specular=gloss, shininess=260, shift=0.2 * k)))
     objects += [
-        ring(0.020, -0.088, 0.016, 0.006, paint(0.80, 0.60, 0.20, specular=0.8, shininess=90)),
-        hoop(-0.095, 0.035, 0.026, 0.006, paint(0.70, 0.70, 0.74, specular=0.9, shininess=90), 30),
+        ring(0.020, -0.088, 0.016, 0.006, paint(0.80, 0.60, 0.20, specular=1.5, shininess=120)),
+        hoop(-0.095, 0.035, 0.026, 0.006, paint(0.70, 0.70, 0.74, specular=1.5, shininess=120), 30),
         panel(0.010, 0.118, 0.070, 0.030, cloth(tx.printed(seed + 9, width_m=0.1), specular=0.1)),
     ]
     floor = tx.fabric(seed + 5, (0.30, 0.34, 0.44), 0.12)
