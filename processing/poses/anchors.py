@@ -7,19 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from lfrig.contracts.errors import GeometryRefused
 from lfrig.processing.model import F64, Anchors, Evidence, LightField
+from lfrig.processing.poses.guide import inverse_depth_interval, scale_line
 from lfrig.processing.poses.structure import Structure, coarseness
 from lfrig.processing.poses.triangulate import ray_angle_deg, reproject
-from lfrig.processing.scale_fit import fit_affine
 
 MAX_DEPTH_SIGMA = 0.01
 """Points whose depth is expected to be worse than this (relative) carry no scale."""
-
-MIN_CONFIDENCE = 0.5
-DISAGREE_SIGMAS = 6.0
-DISAGREE_PX = 0.12
-MIN_JUDGES = 30
 
 
 def collect_anchors(structure: Structure, sources: int, evidence: Sequence[Evidence]) -> tuple[Anchors, ...]:
@@ -52,30 +46,13 @@ def _depth_sigma(structure: Structure) -> F64:
     return np.asarray(np.sqrt(2) * structure.noise_px * coarse / np.maximum(np.tan(angle), 1e-9), np.float64)
 
 
-def contradicted(xy: F64, depth_m: F64, evidence: Evidence) -> NDArray[np.bool_]:
-    """Which points [N] lie where a confident disparity says otherwise, by a robust line through all of them.
-
-    The pixel and its eight neighbours are asked, and one that agrees is enough: keypoints sit on edges. Fewer than
-    `MIN_JUDGES` confident points judge nobody.
-    """
-    height, width = evidence.disparity.shape
-    x = np.clip(np.rint(xy[:, 0]).astype(np.int64), 1, width - 2)
-    y = np.clip(np.rint(xy[:, 1]).astype(np.int64), 1, height - 2)
-    sure = (evidence.confidence[y, x] > MIN_CONFIDENCE) & np.isfinite(evidence.disparity[y, x])
-    nothing = np.zeros(len(xy), bool)
-    if sure.sum() < MIN_JUDGES:
-        return nothing
-    inverse = 1 / depth_m
-    try:
-        line = fit_affine(evidence.disparity[y, x][sure].astype(np.float64), inverse[sure])
-    except GeometryRefused:
-        return nothing
-    if line.a <= 0:
-        return nothing
-    limit = max(DISAGREE_SIGMAS * line.residual, DISAGREE_PX * line.a)
-    around = np.stack([evidence.disparity[y + dy, x + dx] for dy in (-1, 0, 1) for dx in (-1, 0, 1)])
-    apart = np.abs(line.a * around.astype(np.float64) + line.c - inverse)
-    return np.asarray(sure & ~(np.nan_to_num(apart, nan=np.inf).min(0) < limit), np.bool_)
+def contradicted(xy: F64, depth: F64, evidence: Evidence) -> NDArray[np.bool_]:
+    """Which points [N] lie where a confident disparity says otherwise, by a robust line through all of them."""
+    line = scale_line(xy, depth, evidence)
+    if line is None:
+        return np.zeros(len(xy), bool)
+    low, high = inverse_depth_interval(xy, evidence, line)
+    return np.asarray((1 / depth < low) | (1 / depth > high), np.bool_)
 
 
 def metric_scale(
@@ -87,15 +64,9 @@ def metric_scale(
     """
     ratios = []
     for own, source, seen in zip(anchors, sources, evidence, strict=True):
-        if source.optics.baseline_m is None or source.camera is None or len(own) < MIN_JUDGES:
+        if source.optics.baseline_m is None or source.camera is None:
             continue
-        height, width = seen.disparity.shape
-        x = np.clip(np.rint(own.xy[:, 0]).astype(np.int64), 0, width - 1)
-        y = np.clip(np.rint(own.xy[:, 1]).astype(np.int64), 0, height - 1)
-        sure = (seen.confidence[y, x] > MIN_CONFIDENCE) & np.isfinite(seen.disparity[y, x])
-        if sure.sum() < MIN_JUDGES:
-            continue
-        line = fit_affine(seen.disparity[y, x][sure].astype(np.float64), 1 / own.depth_m[sure])
-        if line.a > 0:
+        line = scale_line(own.xy, own.depth_m, seen)
+        if line is not None:
             ratios.append(line.a * source.optics.baseline_m * source.camera.focal_px)
     return float(np.median(ratios)) if ratios else None

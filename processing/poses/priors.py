@@ -128,3 +128,34 @@ def depth_limits(sources: Sequence[LightField], prior: RigPrior) -> tuple[float,
 def recentred(pose: Pose, origin: F64) -> Pose:
     """The pose for a world whose origin is moved to ``origin`` [3]."""
     return Pose(pose.rotation, pose.rotation @ (origin - pose.centre), pose.sigma_deg, pose.sigma_m)
+
+
+BAND_SIGMAS = 3.0
+MIN_BAND_PX = 2.0
+SWING = 0.3
+"""Distance of a scene's points from the plate's axis, as a fraction of the camera's distance."""
+
+
+def prior_band_px(arrangement: Arrangement, i: int, j: int) -> float:
+    """How far [px] from where the prior poses and depths expect it a point of view i may appear in view j.
+
+    Views on one mount share its error: only what differs between them after turning by the angle matters.
+    """
+    zero = np.zeros(arrangement.size)
+    poses = arrangement.poses(zero)
+    views = [arrangement.views[i], arrangement.views[j]]
+    mounts = [arrangement.mounts[v.mount] for v in views]
+    turn = np.deg2rad(rotation_angle_deg(poses[i].rotation, poses[j].rotation))
+    baseline = float(np.linalg.norm(poses[i].centre - poses[j].centre))
+    distance = baseline / max(2 * np.sin(turn / 2), 0.2)
+    if views[0].mount == views[1].mount:
+        share = [2 * np.sin(turn / 2)]
+        mounts = mounts[:1]
+    else:
+        share = [1.0, 1.0]
+    squared = 0.0
+    for mount, part in zip(mounts, share, strict=True):
+        squared += (part * np.deg2rad(mount.sigma_deg)) ** 2 + (part * mount.sigma_m / max(distance, 1e-9)) ** 2
+    for view in views:
+        squared += (SWING * np.deg2rad(view.sigma_angle_deg)) ** 2 + (view.camera.sigma_focal * SWING / 2) ** 2
+    return float(max(BAND_SIGMAS * views[1].camera.focal_px * np.sqrt(squared), MIN_BAND_PX))

@@ -59,9 +59,9 @@ def solve_poses(
             features.append(extract_features(np.ascontiguousarray(picture)))
             monitor.advance()
         if kind == "colmap":
-            structure = solve_without_prior(sources, features, target, monitor)
+            structure = solve_without_prior(sources, evidence, features, target, monitor)
         else:
-            structure = solve_with_prior(kind, sources, features, target, prior, monitor)
+            structure = solve_with_prior(kind, sources, evidence, features, target, prior, monitor)
         monitor.advance()
         return _solution(kind, structure, sources, evidence, target, monitor)
 

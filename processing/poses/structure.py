@@ -13,7 +13,8 @@ from lfrig.processing.model import F64, Camera, Pose
 from lfrig.processing.poses.adjust import Reprojection, adjust
 from lfrig.processing.poses.arrangement import Arrangement
 from lfrig.processing.poses.features import Features
-from lfrig.processing.poses.matching import Matches, epipolar_gate, match_features
+from lfrig.processing.poses.guide import Guide
+from lfrig.processing.poses.matching import Matches
 from lfrig.processing.poses.tracks import Observations, Pair, build_tracks
 from lfrig.processing.poses.triangulate import ray_angle_deg, reproject, triangulate
 
@@ -117,37 +118,21 @@ def refine(
 
 
 def match_again(
-    structure: Structure,
-    features: Sequence[Features],
-    pairs: Sequence[Pair],
-    depth_range_m: tuple[float, float],
-    monitor: Monitor,
+    structure: Structure, features: Sequence[Features], pairs: Sequence[Pair], guide: Guide, band_px: float
 ) -> dict[Pair, Matches]:
-    """Matches inside the band that the solved geometry leaves: more of them, and fewer false ones."""
-    cameras, poses = structure.cameras, structure.poses
-    band = max(1.0, BAND_SIGMAS * structure.noise_px)
-    matches = {}
-    for i, j in pairs:
-        gate = epipolar_gate(
-            features[i], features[j], (cameras[i], cameras[j]), (poses[i], poses[j]), depth_range_m, band
-        )
-        matches[i, j] = match_features(features[i], features[j], gate)
-        monitor.advance(0)
-    return matches
+    """Matches where the solved geometry and the light fields say to look: more of them, and fewer false ones."""
+    intervals = guide.intervals(features, structure)
+    return guide.matches(structure.cameras, structure.poses, features, intervals, dict.fromkeys(pairs, band_px))
 
 
 def complete(
-    first: Structure,
-    features: Sequence[Features],
-    pairs: Sequence[Pair],
-    depth_range_m: tuple[float, float],
-    monitor: Monitor,
+    first: Structure, features: Sequence[Features], pairs: Sequence[Pair], guide: Guide, monitor: Monitor
 ) -> Structure:
     """Match again in the first solution's geometry, adjust once more, and keep what fits."""
-    seen = build_tracks(features, match_again(first, features, pairs, depth_range_m, monitor))
-    final = refine(
-        first.arrangement, first.parameters, seen, depth_range_m, (max(first.noise_px, START_NOISE_PX),), monitor
-    )
-    good = gate_sightings(final.cameras, final.poses, final.seen, final.points, final.noise_px, depth_range_m)
+    band = max(1.0, BAND_SIGMAS * first.noise_px)
+    seen = build_tracks(features, match_again(first, features, pairs, guide, band))
+    start = max(first.noise_px, START_NOISE_PX)
+    final = refine(first.arrangement, first.parameters, seen, guide.depth_range, (start,), monitor)
+    good = gate_sightings(final.cameras, final.poses, final.seen, final.points, final.noise_px, guide.depth_range)
     seen, kept = final.seen.keep(good)
     return replace(final, seen=seen, points=final.points[kept])

@@ -32,11 +32,16 @@ FOCAL_LADDER = tuple(float(1.25**k) for k in range(-3, 4))
 
 @dataclass(frozen=True)
 class Located:
-    """A hypothesis: the photo's pose and camera, and how many matches agree with it."""
+    """A hypothesis: the photo's pose and camera, and how many matches with each source agree with it."""
 
     pose: Pose
     camera: Camera
-    support: int
+    agreeing: dict[int, int]
+
+    @property
+    def support(self) -> int:
+        """All of them."""
+        return sum(self.agreeing.values())
 
 
 @dataclass(frozen=True)
@@ -111,13 +116,13 @@ def support(
     matches: Mapping[int, Matches],
     pose: Pose,
     camera: Camera,
-) -> int:
-    """Features of the photo whose matches agree with a pose: by reprojection where the point is known, else by
+) -> dict[int, int]:
+    """Matches with each source that agree with a pose: by reprojection where the point is known, else by
     epipolar distance.
     """
     cameras, poses = structure.cameras, structure.poses
     gate = GATE * camera.width
-    agreeing = np.zeros(len(features), bool)
+    agreeing = {}
     for view, pairs in matches.items():
         xy = features.xy[pairs[:, 1]]
         fundamental = fundamental_matrix(cameras[view], poses[view], camera, pose)
@@ -125,8 +130,8 @@ def support(
         point = point_of_feature(structure, view, pairs[:, 0])
         known = point >= 0
         error[known] = _residual(Resection(structure.points[point[known]], xy[known]), camera, pose)
-        agreeing[pairs[error < gate, 1]] = True
-    return int(agreeing.sum())
+        agreeing[view] = int((error < gate).sum())
+    return agreeing
 
 
 def _cameras(camera: Camera) -> list[Camera]:

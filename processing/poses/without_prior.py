@@ -9,10 +9,11 @@ import numpy as np
 
 from lfrig.contracts.errors import GeometryRefused
 from lfrig.contracts.progress import Monitor
-from lfrig.processing.model import Camera, LightField, Photo, Pose
+from lfrig.processing.model import Camera, Evidence, LightField, Photo, Pose
 from lfrig.processing.poses import gate
 from lfrig.processing.poses.arrangement import Arrangement, Viewpoint
 from lfrig.processing.poses.features import Features
+from lfrig.processing.poses.guide import Guide
 from lfrig.processing.poses.mapping import Mapped, map_incrementally
 from lfrig.processing.poses.matching import Matches, match_features
 from lfrig.processing.poses.priors import known_camera, neighbours
@@ -28,7 +29,11 @@ DEPTH_SPAN = 8.0
 
 
 def solve_without_prior(
-    sources: Sequence[LightField], features: Sequence[Features], target: Photo, monitor: Monitor
+    sources: Sequence[LightField],
+    evidence: Sequence[Evidence],
+    features: Sequence[Features],
+    target: Photo,
+    monitor: Monitor,
 ) -> Structure:
     """Structure of the sources and, as its last view, the photo."""
     names = [*(f"capture {s.id}" for s in sources), f"photo {target.id}"]
@@ -49,7 +54,7 @@ def solve_without_prior(
     counts = [int(n) for n in first.seen.per_view(count)]
     gate.refuse_photo(counts[-1], target.id)
     gate.refuse_lonely_views(counts[:-1], matches, [s.id for s in sources])
-    return complete(first, features, neighbours(poses), limits, monitor)
+    return complete(first, features, neighbours(poses), Guide(sources, evidence, limits, False), monitor)
 
 
 def _refuse_missing(

@@ -1,0 +1,158 @@
+"""What each light field's own disparity says of the depth of a keypoint: where to look for it in the other views.
+
+A match may be anywhere along its epipolar line; the light field knows to a few percent where. On a texture that
+repeats this is what tells one period from the next.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfrig.contracts.errors import GeometryRefused
+from lfrig.processing.model import F64, Camera, Evidence, LightField, Pose, ScaleFit
+from lfrig.processing.poses.features import Features
+from lfrig.processing.poses.matching import Matches, epipolar_gate, match_inside
+from lfrig.processing.poses.priors import known_camera
+from lfrig.processing.poses.tracks import Pair
+from lfrig.processing.poses.triangulate import reproject
+from lfrig.processing.scale_fit import fit_affine
+
+if TYPE_CHECKING:
+    from lfrig.processing.poses.structure import Structure
+
+MIN_CONFIDENCE = 0.5
+MIN_JUDGES = 30
+MIN_INLIERS = 0.5
+TOLERANCE_SIGMAS = 6.0
+TOLERANCE_PX = 0.06
+"""Half-width [px of disparity] of what counts as agreement, beyond the fit's own scatter."""
+
+OPTICS_TOLERANCE = 0.1
+"""A line from recorded optics is off by this fraction of an inverse depth at most (three sigmas of each part)."""
+
+OPTICS_MISMATCH = 0.3
+"""A fitted line further than this from the recorded optics was fitted to false matches."""
+
+
+@dataclass(frozen=True)
+class Judged:
+    """Disparities around keypoints: lowest and highest of the pixel and its eight neighbours (keypoints sit on
+    edges), the pixel's own, float64 [N] each, and whether it is confident.
+    """
+
+    low: F64
+    high: F64
+    own: F64
+    sure: NDArray[np.bool_]
+
+
+def disparity_around(xy: F64, evidence: Evidence) -> Judged:
+    """Read the evidence at pixels [N, 2]."""
+    height, width = evidence.disparity.shape
+    x = np.clip(np.rint(xy[:, 0]).astype(np.int64), 1, width - 2)
+    y = np.clip(np.rint(xy[:, 1]).astype(np.int64), 1, height - 2)
+    around = np.stack([evidence.disparity[y + dy, x + dx] for dy in (-1, 0, 1) for dx in (-1, 0, 1)])
+    around = around.astype(np.float64)
+    sure = (evidence.confidence[y, x] > MIN_CONFIDENCE) & np.isfinite(around).all(0)
+    around = np.where(sure, around, 0.0)
+    return Judged(around.min(0), around.max(0), around[4], np.asarray(sure, np.bool_))
+
+
+def scale_line(xy: F64, depth: F64, evidence: Evidence) -> ScaleFit | None:
+    """Robust line ``1/z = a δ + c`` through solved points seen at ``xy``; None when they do not carry one."""
+    judged = disparity_around(xy, evidence)
+    if judged.sure.sum() < MIN_JUDGES:
+        return None
+    try:
+        line = fit_affine(judged.own[judged.sure], 1 / depth[judged.sure])
+    except GeometryRefused:
+        return None
+    return line if line.a > 0 and line.inliers >= MIN_INLIERS else None
+
+
+def inverse_depth_interval(xy: F64, evidence: Evidence, line: ScaleFit) -> tuple[F64, F64]:
+    """Lowest and highest inverse depth [N] that a light field admits at keypoints; ∓∞ where it is not confident."""
+    judged = disparity_around(xy, evidence)
+    slack = max(TOLERANCE_SIGMAS * line.residual, TOLERANCE_PX * line.a)
+    low = np.where(judged.sure, line.a * judged.low + line.c - slack, -np.inf)
+    return low, np.where(judged.sure, line.a * judged.high + line.c + slack, np.inf)
+
+
+@dataclass(frozen=True)
+class Guide:
+    """The light fields as guides. The first views are theirs; further views (the photo) have nothing to say.
+
+    ``metric`` tells whether the structure's lengths are metres, so that recorded optics can stand in for a fit.
+    """
+
+    sources: Sequence[LightField]
+    evidence: Sequence[Evidence]
+    depth_range: tuple[float, float]
+    metric: bool
+
+    def informed(self, view: int) -> bool:
+        """Whether a view is a light field."""
+        return view < len(self.sources)
+
+    def recorded_line(self, view: int) -> ScaleFit | None:
+        """Scale of a light field by its recorded optics, with a wide tolerance; None when unknown."""
+        source = self.sources[view]
+        baseline, focus = source.optics.baseline_m, source.optics.focus_distance_m
+        if not self.metric or baseline is None or focus is None:
+            return None
+        slope, offset = 1 / (baseline * known_camera(source).focal_px), 1 / focus
+        return ScaleFit(slope, offset, OPTICS_TOLERANCE * offset / TOLERANCE_SIGMAS, form="optics")
+
+    def fitted_line(self, structure: Structure, view: int) -> ScaleFit | None:
+        """Scale of a light field in the structure's lengths: fitted to its points, else recorded."""
+        own = structure.seen.view == view
+        _, depth = reproject(structure.cameras, structure.poses, structure.seen, structure.points)
+        fitted = scale_line(structure.seen.xy[own], depth[own], self.evidence[view]) if own.any() else None
+        recorded = self.recorded_line(view)
+        if recorded is None or fitted is None:
+            return fitted or recorded
+        pairs = ((fitted.a, recorded.a), (fitted.c, recorded.c))
+        return fitted if all(abs(f / r - 1) < OPTICS_MISMATCH for f, r in pairs) else recorded
+
+    def intervals(self, features: Sequence[Features], structure: Structure | None = None) -> list[tuple[F64, F64]]:
+        """Lowest and highest inverse depth [N] of every view's features: by a structure's fits, or before there is
+        one by the recorded optics.
+        """
+        lowest, highest = 1 / self.depth_range[1], 1 / self.depth_range[0]
+        out = []
+        for view, f in enumerate(features):
+            line = None
+            if self.informed(view):
+                line = self.recorded_line(view) if structure is None else self.fitted_line(structure, view)
+            if line is None:
+                out.append((np.full(len(f), lowest), np.full(len(f), highest)))
+                continue
+            low, high = inverse_depth_interval(f.xy, self.evidence[view], line)
+            out.append((np.clip(low, lowest, highest), np.clip(high, lowest, highest)))
+        return out
+
+    def matches(
+        self,
+        cameras: Sequence[Camera],
+        poses: Sequence[Pose],
+        features: Sequence[Features],
+        intervals: Sequence[tuple[F64, F64]],
+        bands_px: Mapping[Pair, float],
+    ) -> dict[Pair, Matches]:
+        """Matches of the pairs where the geometry, give or take a band, and the light fields say to look."""
+        found = {}
+        for (i, j), band in bands_px.items():
+            gate = epipolar_gate(
+                features[i], features[j], (cameras[i], cameras[j]), (poses[i], poses[j]), intervals[i], band
+            )
+            if self.informed(j):
+                gate &= epipolar_gate(
+                    features[j], features[i], (cameras[j], cameras[i]), (poses[j], poses[i]), intervals[j], band
+                ).T
+            found[i, j] = match_inside(features[i], features[j], gate)
+        return found
