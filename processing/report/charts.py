@@ -13,11 +13,13 @@ from lfrig.processing.report.html import Html, el
 from lfrig.processing.report.pictures import Scale, lookup_table
 
 BAR_WIDTH = 480
-_UNIT_WIDTH = 68
+_UNIT_WIDTH = 56
 _STOPS = 12
 
 
-def colour_bar(scale: Scale, unit: str, second: Callable[[float], float] | None = None, second_unit: str = "") -> Html:
+def colour_bar(
+    scale: Scale, unit: str = "", second: Callable[[float], float] | None = None, second_unit: str = ""
+) -> Html:
     """The colours of ``scale`` with ticks below, and above them the same places in another quantity.
 
     ``second`` maps a value of the scale to that quantity (px → m); its ticks are round values of its own.
@@ -41,7 +43,7 @@ def colour_bar(scale: Scale, unit: str, second: Callable[[float], float] | None 
     ]
     if second:
         ticks += _second_ticks(scale, second, place, top)
-    x = BAR_WIDTH - _UNIT_WIDTH + 12
+    x = BAR_WIDTH - _UNIT_WIDTH + 22
     return el(
         "svg",
         el("defs", el("linearGradient", *stops, id=identifier)),
@@ -140,8 +142,8 @@ def error_curve(error_px: F32, marks: Sequence[float] = (0.01, 0.05, 0.1)) -> Ht
     parts = axes.grid()
     for mark in marks:
         x, y = axes.x(mark), axes.y(share(mark))
-        # Two of the usual marks are close together: their labels stand on either side.
-        before = mark == 0.05
+        # 0.05 and 0.1 are close together: their labels stand on either side.
+        before = mark < 0.1
         parts += [
             el("line", x1=x, x2=x, y1=axes.y(0), y2=y, class_="mark"),
             el("circle", cx=x, cy=y, r=3.5, class_="dot"),

@@ -116,7 +116,7 @@ def _maps(disparity: F32, confidence: F32, scale: pictures.Scale, bf: float | No
         figure(
             pictures.coloured(confidence, CONFIDENCE).element("confidence map", "map"),
             "Confidence: the probability mass at the peak.",
-            charts.colour_bar(CONFIDENCE, "probability"),
+            charts.colour_bar(CONFIDENCE),
         ),
         class_="pair",
     )

@@ -13,7 +13,7 @@ from lfrig.processing.report.html import Html, comment, el, figure, join, sectio
 BEGIN, END = comment("score: begin"), comment("score: end")
 ERROR_SCALE_PX = 0.15
 _CLASSES = {"all": "all pixels", "edge": "at depth edges", "textureless": "without texture",
-            "aligned": "all, after a linear alignment"}  # fmt: skip
+            "aligned": "all, linearly aligned"}  # fmt: skip
 _ORACLES = {"z_buffer": "exact geometry, z-buffered", "fixed_point": "exact geometry, fixed point"}
 
 

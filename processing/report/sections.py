@@ -83,7 +83,7 @@ def maps(result: ProcessResult, report: ReportDocument) -> Html:
             figure(
                 pictures.coloured(surface.confidence, pictures.Scale(0, 1, "cividis")).element("confidence map", "map"),
                 "Confidence: the probability that the disparity is right within 0.1 px.",
-                charts.colour_bar(pictures.Scale(0, 1, "cividis"), "probability"),
+                charts.colour_bar(pictures.Scale(0, 1, "cividis")),
             ),
             figure(
                 pictures.coloured(sigma, sigma_scale).element("map of the standard deviation", "map"),
@@ -179,7 +179,7 @@ def _key_figures(result: ProcessResult, report: ReportDocument) -> list[tuple[st
         figures += [
             ("seen by a source", words.percent(float((surface.seen > 0).mean()), 1)),
             ("median confidence", words.fixed(float(np.median(surface.confidence[known])), 2)),
-            ("distance", f"{words.number(float(near))} – {words.number(float(far))} {unit}"),
+            ("distance", f"{words.number(float(near), 2)} – {words.number(float(far), 2)} {unit}"),
         ]
     bf = report.target.baseline_m * report.target.fx
     figures += [("b · F", f"{words.number(bf)} px·m"), ("peak memory", words.memory(_peak(report)))]

@@ -15,11 +15,11 @@ def lively_row(disparity: F32, confidence: F32) -> int:
 
     ``disparity`` float32 [H, W] (NaN = unknown), ``confidence`` float32 [H, W].
     """
+    known = disparity[np.isfinite(disparity)]
+    low, high = np.percentile(known, [1, 99]) if known.size else (0.0, 0.0)
     step = np.abs(np.diff(disparity, axis=1)) * np.minimum(confidence[:, 1:], confidence[:, :-1])
     # A jump counts as an edge, not by its height: else one wild row wins.
-    known = step[np.isfinite(step)]
-    cap = float(np.percentile(known, 99)) if known.size else 0.0
-    activity = np.minimum(np.nan_to_num(step), cap).sum(1)
+    activity = np.minimum(np.nan_to_num(step), 0.2 * (high - low)).sum(1)
     window = max(1, len(activity) // 24)
     smooth = np.convolve(activity, np.ones(window), "same")
     margin = int(BORDER * len(activity))
@@ -44,13 +44,12 @@ def vertical_epi(views: U8, column_px: int) -> U8:
 
 
 def telling_planes(evidence: Evidence, count: int) -> list[int]:
-    """Indices of up to ``count`` planes spread over the disparities that really occur."""
+    """Indices of up to ``count`` planes spread over the disparities that occur, denser where more pixels are."""
     first, step = evidence.planes_px
     known = evidence.disparity[np.isfinite(evidence.disparity)]
     if known.size == 0:
         return [evidence.planes // 2]
-    low, high = np.percentile(known, [4, 96])
-    index = np.rint((np.linspace(low, high, count) - first) / step).astype(int)
+    index = np.rint((np.percentile(known, np.linspace(5, 95, count)) - first) / step).astype(int)
     return sorted({int(i) for i in np.clip(index, 0, evidence.planes - 1)})
 
 

@@ -17,7 +17,6 @@ THUMB_PX = 320
 SLICE_PX = 180
 SLICES = 5
 ANCHOR_DOTS = 250
-SLICE_HEIGHT_PX = 96
 
 
 def sources(result: ProcessResult) -> Html:
@@ -80,8 +79,7 @@ def volume(evidence: Evidence, row: int) -> Html:
         for index, image in zip(planes, stack, strict=True)
     ]
     across = slices.along_row(evidence, row)
-    factor = max(1, round(SLICE_HEIGHT_PX / across.shape[0]))
-    sheet = pictures.coloured(np.repeat(across, factor, axis=0), pictures.Scale(0.0, _peak(across), "inferno"))
+    sheet = pictures.coloured(across, pictures.Scale(0.0, _peak(across), "inferno"))
     last = first + (evidence.planes - 1) * step
     return el(
         "div",

@@ -89,10 +89,8 @@ def _markup(still: pictures.Picture, tile: tuple[int, int]) -> Html:
 
 
 def _slider(name: str, label: str) -> Html:
-    return el(
-        "label", el("span", label), el("input", type="range", name_=name, min=0, max=1, step="any"), el("output"),
-        data_for=name,
-    )  # fmt: skip
+    slider = el("input", type="range", name_=name, min=0, max=1, step="any", aria_label=label)
+    return el("label", el("span", label), el("output"), slider, data_for=name)
 
 
 def _tile_size(rows: int, cols: int, height: int, width: int) -> tuple[int, int]:

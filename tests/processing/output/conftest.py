@@ -9,6 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+
 from lfrig.contracts.progress import Notice
 from lfrig.contracts.result import StageReport
 from lfrig.processing.export.result import write_result

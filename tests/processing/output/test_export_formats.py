@@ -8,6 +8,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from PIL import Image as Pillow
+
 from lfrig.contracts.errors import (
     BadInput,
     Interrupted,
@@ -26,7 +28,6 @@ from lfrig.processing.export.registry import FORMATS, export
 from lfrig.processing.export.result import load_result
 from lfrig.processing.export.sweep import Sweep, circle, fill_unknown
 from lfrig.processing.pipeline import ProcessResult
-from PIL import Image as Pillow
 
 
 def rotation(axis: int, angle: float) -> np.ndarray:
@@ -50,7 +51,7 @@ class TestEveryFormat:
         assert path.parent == result_folder / "exports"
         assert path.is_dir() == (FORMATS[name].suffix == "")
         assert {key: data for key, data in files(result_folder).items() if not key.startswith("exports")} == before
-        assert [p for p in result_folder.rglob(".*")] == []
+        assert list(result_folder.rglob(".*")) == []
         assert [p.name for p in path.parent.iterdir()] == [path.name]
 
     @pytest.mark.parametrize("name", FORMATS)

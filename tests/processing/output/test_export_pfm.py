@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+
 from lfrig.contracts.errors import BadInput
 from lfrig.processing.export.pfm import decode_pfm, encode_pfm, read_pfm, write_pfm
 

@@ -6,6 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+
 from lfrig.contracts.errors import BadInput
 from lfrig.contracts.result import ReportDocument
 from lfrig.processing.export.pfm import read_pfm
