@@ -14,6 +14,8 @@ from lfrig.rig.cli.run import Run
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from lfrig.rig.demo import DemoOutcome
+
 POSES = ("auto", "lf", "colmap", "given")
 BACKENDS, LATER_BACKENDS = ("auto", "cpu"), ("openvino", "qnn", "depthai")
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace what exists at the output path.")]
@@ -29,15 +31,15 @@ def register(app: typer.Typer) -> None:
 def demo(
     context: typer.Context,
     out: Annotated[Path, typer.Option("--out", help="Folder to make.")] = Path("demo"),
-    size: Annotated[str, typer.Option("--size", help="tiny | small | medium | full")] = "small",
+    size: Annotated[str, typer.Option("--size", help="tiny | small | medium | full")] = "medium",
     overwrite: Overwrite = False,
 ) -> None:
     """A simulated rig → captures → result → score → report, in one go."""
-    from lfrig.rig.demo import run_demo, show_demo
+    from lfrig.rig.demo import run_demo
 
     run: Run = context.obj
     outcome = run_demo(out, size=size, overwrite=overwrite, threads=run.threads, monitor=run.monitor)
-    run.emit(outcome.as_document(), lambda console: show_demo(outcome, console))
+    run.emit(outcome.as_document(), lambda console: _show_demo(outcome, console))
 
 
 def depth(
@@ -110,6 +112,22 @@ def process(
     folders = [process_session(session, target, names, wanted, out, overwrite, run.monitor) for session in sessions]
     pages = [f"{folder}/report.html" for folder in folders]
     run.emit({"results": [_result_document(folder) for folder in folders]}, lambda console: _show(pages, console))
+
+
+def _show_demo(outcome: DemoOutcome, console: Console) -> None:
+    from lfrig.rig.cli.tables import score_table
+
+    plan, sources = outcome.plan, ", ".join(source.id for source in outcome.report.sources)
+    width, height = outcome.size
+    console.print(
+        f"scene {plan.scene}, {len(plan.angles_deg)} light fields of 7×7 views, {width}×{height}; "
+        f"photo at {plan.target_deg:g}°; sources {sources}",
+        markup=False,
+    )
+    console.print(score_table(outcome.score))
+    costs = ", ".join(f"{name} {seconds:.1f}" for name, seconds in outcome.cpu_s.items())
+    console.print(f"CPU s: {costs}; {outcome.wall_s:.1f} s in all", markup=False)
+    console.print(f"look at {outcome.result / 'report.html'}", markup=False, soft_wrap=True)
 
 
 def _result_document(folder: Path) -> dict[str, Any]:

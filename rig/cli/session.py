@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from lfrig.contracts.errors import NotInThisVersion, UsageError
 from lfrig.rig.cli import options as parse
 from lfrig.rig.cli.run import Run
 
@@ -14,8 +15,9 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from lfrig.rig.ingest import IngestedCapture
+    from lfrig.rig.plan import CapturePlan
 
-SIZES = ("tiny", "small", "medium", "full")
+DEFAULT_ANGLES = "0:60:15"
 KINDS = {"light-field": "light_field", "photo": "photo"}
 
 
@@ -31,20 +33,49 @@ def capture(
     session: Annotated[Path, typer.Argument(metavar="SESSION", help="Session folder to make or to add to.")],
     rig: Annotated[str, typer.Option("--rig", metavar="sim", help="Which rig; sim is the simulated one.")],
     angles: Annotated[
-        str, typer.Option(metavar="FIRST:LAST:STEP", help="Plate angles of the light fields [deg], both ends.")
-    ] = "0:60:15",
-    target_deg: Annotated[float | None, typer.Option(metavar="φ", help="Plate angle of the photo.")] = None,
-    scene: Annotated[str, typer.Option(help="Simulated scene.")] = "tabletop",
-    size: Annotated[str, typer.Option(help="small | medium | full")] = "small",
-    seed: Annotated[int, typer.Option(help="Of everything that is random.")] = 0,
+        str | None, typer.Option(metavar="0:60:15", help="Plate angles of the light fields [deg], both ends included.")
+    ] = None,
+    target_deg: Annotated[
+        float | None, typer.Option(metavar="φ", help="Plate angle of the photo; default: between the middle two.")
+    ] = None,
+    plan: Annotated[Path | None, typer.Option(metavar="PLAN.toml", help="Angles from a file instead.")] = None,
+    scene: Annotated[str, typer.Option(help="Simulated scene; a wrong name lists them.")] = "figurines",
+    size: Annotated[str, typer.Option(help="tiny | small | medium | full")] = "small",
+    seed: Annotated[int, typer.Option(min=0, help="Of everything that is random.")] = 0,
     record: Annotated[str, typer.Option(help="views (raw: not in this version)")] = "views",
-    noise: Annotated[float, typer.Option(metavar="σ", help="Noise of the views [grey levels].")] = 0.0,
-    plan: Annotated[Path | None, typer.Option(hidden=True)] = None,
+    noise: Annotated[float, typer.Option(metavar="σ", min=0, help="Noise of the pixels [grey levels].")] = 0.0,
     resume: Annotated[bool, typer.Option("--resume", hidden=True)] = False,
-    force: Annotated[bool, typer.Option("--force", hidden=True)] = False,
+    force: Annotated[bool, typer.Option("--force", help="Shoot steps above 30° too.")] = False,
 ) -> None:
     """Shoot a session: light fields at plate angles, then the photo."""
-    raise NotImplementedError
+    parse.refuse_absent("--resume", resume)
+    parse.one_of("--record", record, ("views",), ("raw",))
+    if rig != "sim":
+        raise NotInThisVersion(f"--rig {rig}", remedy="use --rig sim")
+    if plan is not None and (angles is not None or target_deg is not None):
+        raise UsageError("--plan says the angles already", remedy="leave out --plan, or --angles and --target-deg")
+    from lfrig.rig.sim_capture import capture_simulated
+
+    run: Run = context.obj
+    wanted = _plan(plan, angles, target_deg)
+    wanted.check_steps(run.monitor, force=force)
+    store = capture_simulated(
+        session, scene=scene, size=size, angles_deg=wanted.angles_deg, target_deg=wanted.target_deg, seed=seed,
+        noise_sigma=noise, threads=run.threads, monitor=run.monitor,
+    )  # fmt: skip
+    document = {"session": store.path, "truth": store.truth_path, "captures": list(store.captures())}
+    run.emit(document, lambda console: console.print(f"{store.path}", markup=False, soft_wrap=True))
+
+
+def _plan(path: Path | None, angles: str | None, target_deg: float | None) -> CapturePlan:
+    from lfrig.rig.plan import CapturePlan, middle_gap_deg, parse_angles
+
+    if path is not None:
+        return CapturePlan.load(path)
+    light_fields = parse_angles(angles if angles is not None else DEFAULT_ANGLES)
+    return CapturePlan(
+        angles_deg=light_fields, target_deg=middle_gap_deg(light_fields) if target_deg is None else target_deg
+    )
 
 
 def ingest(
