@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import Any, ClassVar, Literal
 
-from lfrig.contracts.schema import Document, Finite, Model
 from pydantic import Field
+
+from lfrig.contracts.schema import Document, Finite, Model
 
 
 class Check(Model):

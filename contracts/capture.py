@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import Annotated, ClassVar, Literal
 
+from pydantic import Field, field_validator, model_validator
+
 from lfrig.contracts.paths import InsidePath, ViewPattern, expand
 from lfrig.contracts.schema import DepthRange, Document, Finite, Model, NonNegative, Positive, PositiveInt
-from pydantic import Field, field_validator, model_validator
 
 Vector3 = tuple[Finite, Finite, Finite]
 Matrix3 = tuple[Vector3, Vector3, Vector3]

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
+from pydantic import Field
+
 from lfrig.contracts.capture import PoseSpec
 from lfrig.contracts.schema import Count, Document, Finite, Model, NonNegative, Positive
-from pydantic import Field
 
 
 class TargetReport(Model):

@@ -7,9 +7,10 @@ import math
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Self
 
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+
 from lfrig.contracts.errors import BadInput
 from lfrig.contracts.files import atomic_write_text
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]

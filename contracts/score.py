@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-from lfrig.contracts.schema import Count, Document, Finite, Model, NonNegative
 from pydantic import Field
+
+from lfrig.contracts.schema import Count, Document, Finite, Model, NonNegative
 
 
 class DisparityScore(Model):

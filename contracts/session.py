@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import ClassVar
 
+from pydantic import Field, field_validator
+
 from lfrig.contracts.capture import PoseSpec
 from lfrig.contracts.schema import DepthRange, Document, Model, NonNegative
-from pydantic import Field, field_validator
 
 _NOT_IN_ID = set("/\\,\0\n\r")
 """Separators of paths, of lists on the command line, of lines."""

@@ -40,6 +40,13 @@ def maybe(strategy: st.SearchStrategy[Any]) -> st.SearchStrategy[Any]:
     return st.none() | strategy
 
 
+def built(kind: type[Model], **given: st.SearchStrategy[Any]) -> st.SearchStrategy[Any]:
+    """A document whose plain required fields are made up by their type, floats finite."""
+    by_type = {float: sigma, int: st.integers(0, 10**6), str: text, bool: st.booleans()}
+    made_up = {n: by_type[f.annotation] for n, f in kind.model_fields.items() if f.is_required() and n not in given}
+    return st.builds(kind, **made_up, **given)
+
+
 @st.composite
 def rotations(draw: st.DrawFn) -> tuple[tuple[float, float, float], ...]:
     quaternion = np.add(draw(st.tuples(*[st.floats(-1, 1)] * 4)), (2.5, 0, 0, 0))
@@ -141,12 +148,12 @@ reports = st.builds(
     ),
     warnings=st.lists(st.builds(WarningReport, code=text, message=text), max_size=2),
 )
-light_field_scores = st.builds(LightFieldScore)
+light_field_scores = built(LightFieldScore)
 scores = st.builds(
     ScoreDocument,
     bf_px_m=finite,
     focus_distance_m=finite,
-    disparity=st.dictionaries(text, st.builds(DisparityScore), max_size=2),
+    disparity=st.dictionaries(text, built(DisparityScore), max_size=2),
     views=maybe(light_field_scores),
     oracles=st.dictionaries(text, light_field_scores, max_size=2),
     notes=st.lists(text, max_size=2),
@@ -157,7 +164,7 @@ benches = st.builds(
     commit=maybe(text),
     machine=st.dictionaries(text, text, max_size=2),
     rows=st.lists(st.dictionaries(text, finite | text | st.booleans(), max_size=3), max_size=2),
-    checks=st.lists(st.builds(Check, direction=st.sampled_from(["<=", ">="])), max_size=2),
+    checks=st.lists(built(Check, direction=st.sampled_from(["<=", ">="])), max_size=2),
 )
 documents = st.one_of(captures, sessions, reports, scores, benches)
 
