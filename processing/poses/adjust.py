@@ -146,10 +146,7 @@ class _System:
                 point = part.point[rows]
                 turned = self.points[point] @ self.poses[v].rotation.T + self.poses[v].translation
                 d_local = part.d_local[rows]
-                # d(ω × p + v): the rotation's column is p × derivative.
-                d_view = np.concatenate(
-                    [np.cross(turned[:, None, :], d_local), d_local, part.d_log_focal[rows][:, :, None]], axis=2
-                )
+                d_view = np.concatenate([_cross(turned, d_local), d_local, part.d_log_focal[rows][:, :, None]], axis=2)
                 d_point = d_local @ self.poses[v].rotation
                 weighted = d_view * weight[rows, None, None]
                 u[v] += np.einsum("mka,mkb->ab", weighted, d_view)
@@ -217,3 +214,10 @@ def _outer_sum(left: F64, right: F64) -> F64:
     padded[0, :n], padded[1, :n] = left, right
     stacked = padded.transpose(0, 1, 3, 2).reshape(2, chunks, POINTS_PER_CHUNK * 3, a)
     return np.asarray((stacked[0].transpose(0, 2, 1) @ stacked[1]).sum(0), np.float64)
+
+
+def _cross(point: F64, derivative: F64) -> F64:
+    """P × ∂r/∂p, the derivative by a rotation: ω × p moves r by (p × ∂r/∂p)·ω. [M, k, 3] from [M, 3] and [M, k, 3]."""
+    x, y, z = (point[:, None, i] for i in range(3))
+    a, b, c = (derivative[:, :, i] for i in range(3))
+    return np.stack([y * c - z * b, z * a - x * c, x * b - y * a], axis=2)

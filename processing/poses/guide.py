@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 
 from lfrig.contracts.errors import GeometryRefused
 from lfrig.processing.model import F64, Camera, Evidence, LightField, Pose, ScaleFit
+from lfrig.processing.poses.epipolar import epipolar_segments
 from lfrig.processing.poses.features import Features
-from lfrig.processing.poses.matching import Matches, epipolar_gate, match_inside
+from lfrig.processing.poses.matching import Matches, match_candidates
 from lfrig.processing.poses.priors import known_camera
 from lfrig.processing.poses.tracks import Pair
 from lfrig.processing.poses.triangulate import reproject
@@ -147,12 +148,12 @@ class Guide:
         """Matches of the pairs where the geometry, give or take a band, and the light fields say to look."""
         found = {}
         for (i, j), band in bands_px.items():
-            gate = epipolar_gate(
-                features[i], features[j], (cameras[i], cameras[j]), (poses[i], poses[j]), intervals[i], band
-            )
+            a, b = features[i], features[j]
+            there = epipolar_segments(a.xy, (cameras[i], cameras[j]), (poses[i], poses[j]), intervals[i])
+            rows, columns = there.pairs(b.xy, band)
             if self.informed(j):
-                gate &= epipolar_gate(
-                    features[j], features[i], (cameras[j], cameras[i]), (poses[j], poses[i]), intervals[j], band
-                ).T
-            found[i, j] = match_inside(features[i], features[j], gate)
+                back = epipolar_segments(b.xy, (cameras[j], cameras[i]), (poses[j], poses[i]), intervals[j])
+                keep = back.contains(columns, a.xy[rows], band)
+                rows, columns = rows[keep], columns[keep]
+            found[i, j] = match_candidates(a, b, rows, columns)
         return found

@@ -21,6 +21,8 @@ from lfrig.processing.poses.target import Located, locate_photo, support
 
 ENOUGH_FEATURES = 100
 LOOSE_DEG = 30.0
+SOLID_SUPPORT = 100
+"""A pose near the expected one that so many unguided matches support needs no second look."""
 
 
 @dataclass(frozen=True)
@@ -53,11 +55,12 @@ def join_photo(
         agreeing = support(coarse, theirs, own, matches, known.pose, camera)
         _judge_given_photo(sum(agreeing.values()), coarse, own, target, monitor)
         return Joined(_with_view(coarse, with_photo(coarse.arrangement, target, known)), agreeing)
-    trials = [locate_photo(coarse, theirs, own, matches, camera, None if known is None else known.pose)]
-    if known is not None:
+    located = locate_photo(coarse, theirs, own, matches, camera, None if known is None else known.pose)
+    solid = located is not None and located.support >= SOLID_SUPPORT
+    if known is not None and not (solid and located is not None and _near(located.pose, known)):
         near = _expected_matches(coarse, features, with_photo(coarse.arrangement, target, known), guide)
-        trials.append(locate_photo(coarse, theirs, own, near, camera, known.pose))
-    located = max((t for t in trials if t is not None), key=lambda t: t.support, default=None)
+        other = locate_photo(coarse, theirs, own, near, camera, known.pose)
+        located = max((t for t in (located, other) if t is not None), key=lambda t: t.support, default=None)
     gate.refuse_photo(0 if located is None else located.support, target.id)
     assert located is not None
     if known is None or not _near(located.pose, known):

@@ -26,6 +26,8 @@ REJECT_SIGMAS = 4.0
 MIN_RAY_ANGLE_DEG = 2.0
 BAND_SIGMAS = 8.0
 START_NOISE_PX = 0.25
+ROUGH_TOLERANCE = 1e-3
+FINE_TOLERANCE = 1e-5
 
 
 @dataclass(frozen=True)
@@ -111,7 +113,9 @@ def refine(
         points = points[kept]
         if not seen.count:
             break
-        result = adjust(arrangement, x, points, [Reprojection(seen, noise * coarseness(seen))])
+        blocks = [Reprojection(seen, noise * coarseness(seen))]
+        rough = level is not None
+        result = adjust(arrangement, x, points, blocks, tolerance=ROUGH_TOLERANCE if rough else FINE_TOLERANCE)
         x, points, covariance = result.parameters, result.points, result.covariance
         monitor.advance(0)
     return Structure(arrangement, x, seen, points, noise, covariance)

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from lfrig.processing.geometry import project_points
 from lfrig.processing.model import F64, Camera, Pose
+from lfrig.processing.poses.epipolar import fundamental_matrix, sampson_distance
 from lfrig.processing.poses.features import Features
-from lfrig.processing.poses.matching import Matches, fundamental_matrix, sampson_distance
+from lfrig.processing.poses.matching import Matches
 from lfrig.processing.poses.structure import Structure
 
 GATE = 0.006

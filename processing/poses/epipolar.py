@@ -1,0 +1,88 @@
+"""Where a point of one image may appear in another: epipolar distances, and the pieces of line that depths leave."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfrig.processing.geometry import relative_pose
+from lfrig.processing.model import F64, Camera, Pose
+
+Indices = NDArray[np.int64]
+
+
+def fundamental_matrix(first: Camera, first_pose: Pose, second: Camera, second_pose: Pose) -> F64:
+    """F [3, 3] with ``x2ᵀ F x1 = 0`` for homogeneous pixels (Hartley & Zisserman, 9.2)."""
+    rotation, t = relative_pose(first_pose, second_pose)
+    cross = np.array([[0, -t[2], t[1]], [t[2], 0, -t[0]], [-t[1], t[0], 0]])
+    inverse = np.linalg.inv
+    return np.asarray(inverse(second.matrix).T @ cross @ rotation @ inverse(first.matrix), np.float64)
+
+
+def sampson_distance(fundamental: F64, first_xy: F64, second_xy: F64) -> F64:
+    """First-order distance [px] of matched pixels [M, 2] to their epipolar geometry (Hartley & Zisserman, 11.4.3)."""
+    one = np.ones((len(first_xy), 1))
+    line2 = np.c_[first_xy, one] @ fundamental.T
+    line1 = np.c_[second_xy, one] @ fundamental
+    algebraic = (np.c_[second_xy, one] * line2).sum(1)
+    slope = line2[:, 0] ** 2 + line2[:, 1] ** 2 + line1[:, 0] ** 2 + line1[:, 1] ** 2
+    return np.asarray(np.abs(algebraic) / np.sqrt(np.maximum(slope, 1e-30)), np.float64)
+
+
+@dataclass(frozen=True)
+class Segments:
+    """Pieces of epipolar line, one per point of the first image: ``start`` float64 [N, 2] px, ``unit`` [N, 2],
+    ``length`` [N] px.
+    """
+
+    start: F64
+    unit: F64
+    length: F64
+
+    def contains(self, rows: Indices, xy: F64, margin_px: float) -> NDArray[np.bool_]:
+        """Whether pixels [K, 2] lie within a margin of the segments of ``rows`` [K]."""
+        apart, unit = xy - self.start[rows], self.unit[rows]
+        across = apart[:, 1] * unit[:, 0] - apart[:, 0] * unit[:, 1]
+        along = (apart * unit).sum(1)
+        inside = (along > -margin_px) & (along < self.length[rows] + margin_px)
+        return np.asarray(inside & (np.abs(across) < margin_px), np.bool_)
+
+    def pairs(self, xy: F64, margin_px: float) -> tuple[Indices, Indices]:
+        """All (segment, pixel) with pixels [N2, 2] within a margin of a segment, sorted by segment.
+
+        Pixels are sorted along the axis in which the segments are short, so that each has few to look at.
+        """
+        if not len(xy) or not len(self.start):
+            return np.zeros(0, np.int64), np.zeros(0, np.int64)
+        end = self.start + self.unit * self.length[:, None]
+        axis = int(np.abs(end - self.start).mean(0).argmin())
+        order = np.argsort(xy[:, axis], kind="stable")
+        sorted_xy = xy[order, axis]
+        first = np.searchsorted(sorted_xy, np.minimum(self.start, end)[:, axis] - margin_px)
+        last = np.searchsorted(sorted_xy, np.maximum(self.start, end)[:, axis] + margin_px)
+        count = np.maximum(last - first, 0)
+        rows = np.repeat(np.arange(len(count)), count)
+        within = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
+        columns = order[np.repeat(first, count) + within]
+        keep = self.contains(rows, xy[columns], margin_px)
+        return rows[keep], columns[keep]
+
+
+def epipolar_segments(
+    xy: F64, cameras: tuple[Camera, Camera], poses: tuple[Pose, Pose], inverse_depth: tuple[F64, F64]
+) -> Segments:
+    """Segments in the second image for pixels [N, 2] of the first, between their lowest and highest inverse depth
+    ([N] each, 0 = infinity).
+    """
+    rotation, t = relative_pose(*poses)
+    rays = np.c_[(xy - [cameras[0].cx, cameras[0].cy]) / cameras[0].focal_px, np.ones(len(xy))] @ rotation.T
+    ends = []
+    for w in inverse_depth:
+        point = rays + w[:, None] * t
+        z = np.maximum(point[:, 2:], 1e-6)
+        ends.append(point[:, :2] / z * cameras[1].focal_px + [cameras[1].cx, cameras[1].cy])
+    along = ends[1] - ends[0]
+    length = np.linalg.norm(along, axis=1)
+    return Segments(ends[0], along / np.maximum(length, 1e-12)[:, None], length)
