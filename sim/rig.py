@@ -72,9 +72,10 @@ def _library_scene(name: str, seed: int) -> PackedScene:
 
 
 def target_size(width: int, height: int) -> tuple[int, int]:
-    """Size of the target camera's photo beside light-field views of ``width`` × ``height``: about as wide, 3:2."""
-    even = 2 * (width // 2)
-    return even, min(2 * round(even / 3), height)
+    """Size of the target camera's photo beside light-field views of ``width`` × ``height``: about as wide, 3:2, never the same."""
+    wide = 2 * (width // 2)
+    high = 2 * round(wide / 3)
+    return (wide, high) if (wide, high) != (width, height) else (wide - 6, high - 4)
 
 
 class SimulatedRig:

@@ -74,7 +74,7 @@ def plaster(seed: int) -> Scene:
 
 
 def reeds(seed: int) -> Scene:
-    """Leaning reeds 1.3–3.4 mm thick (3–8 px at full size) before foliage."""
+    """Leaning reeds 1.3–2.9 mm thick (3–8 px at full size) before foliage."""
     rng = np.random.default_rng([seed, 101])
     colours = [paint(0.72, 0.62, 0.28), paint(0.45, 0.50, 0.20), cloth(tx.wood(seed + 5, width_m=0.05))]
     objects: list[Primitive] = []
@@ -82,7 +82,7 @@ def reeds(seed: int) -> Scene:
         side, away = rng.uniform(-0.11, 0.11), rng.uniform(-0.07, 0.09)
         lean = rng.normal(0, 0.014, 2)
         top = (side + lean[0], away + lean[1], rng.uniform(0.07, 0.13))
-        objects.append(stick((side, away, 0.0), top, rng.uniform(1.3, 3.4), colours[k % 3]))
+        objects.append(stick((side, away, 0.0), top, rng.uniform(1.3, 2.9), colours[k % 3]))
         if k % 3 == 0:
             objects.append(ball(top[0], top[1], 0.005, paint(0.42, 0.24, 0.12), lift=top[2] - 0.004))
     objects += [
@@ -169,8 +169,8 @@ def lanterns(seed: int) -> Scene:
 def poster(seed: int) -> Scene:
     """Nearly one plane: a large picture close to the axis, with almost nothing before it."""
     objects = [
-        panel(0.0, 0.035, 0.22, 0.10, cloth(tx.dead_leaves(seed + 1, "toy", 0.26)), 4),
-        crate(0.035, 0.022, (0.016, 0.006, 0.012), cloth(tx.printed(seed + 2, width_m=0.05)), 4),
+        panel(0.0, -0.005, 0.15, 0.10, cloth(tx.dead_leaves(seed + 1, "toy", 0.26)), 4),
+        crate(0.035, -0.018, (0.016, 0.006, 0.012), cloth(tx.printed(seed + 2, width_m=0.05)), 4),
     ]
     floor = tx.noise(seed + 3, "meadow", 0.2)
     return stage("poster", objects, cloth(floor), cloth(tx.noise(seed + 4, "sea", 0.3)))
