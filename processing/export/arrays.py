@@ -9,11 +9,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
+
 from lfrig.contracts.progress import Monitor
 from lfrig.processing.export.content import Content
 from lfrig.processing.export.pfm import write_pfm
 from lfrig.processing.model import F32
-from numpy.typing import NDArray
 
 
 def export_pfm(content: Content, out: Path, monitor: Monitor) -> None:

@@ -8,6 +8,7 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+
 from lfrig.contracts.errors import BadInput
 from lfrig.processing.export.result import VIEWS, LoadedResult
 from lfrig.processing.model import F32, F64, Image, LightField

@@ -6,11 +6,12 @@ import io
 from pathlib import Path
 
 import numpy as np
+from PIL import Image as Pillow
+
 from lfrig.contracts.files import disk_errors
 from lfrig.contracts.progress import Monitor
 from lfrig.processing.export.content import Content
 from lfrig.processing.export.sweep import Sweep, circle
-from PIL import Image as Pillow
 
 FRAMES = 30
 FRAME_MS = 70

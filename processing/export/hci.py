@@ -13,6 +13,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
+
 from lfrig.contracts.files import disk_errors
 from lfrig.contracts.progress import Monitor
 from lfrig.processing.export.content import Content

@@ -10,9 +10,10 @@ import re
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
+
 from lfrig.contracts.errors import BadInput
 from lfrig.contracts.files import disk_errors
-from numpy.typing import NDArray
 
 _HEADER = re.compile(rb"(P[Ff])\s+(\d+)\s+(\d+)\s+([-+]?[0-9.]+(?:[eE][-+]?\d+)?)\s")
 _CHANNELS = {b"Pf": 1, b"PF": 3}

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+
 from lfrig.contracts.errors import BadInput
 from lfrig.contracts.files import disk_errors
 from lfrig.processing.model import U8, Image

@@ -20,6 +20,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
+
 from lfrig.contracts.capture import PoseSpec
 from lfrig.contracts.errors import BadInput
 from lfrig.contracts.files import disk_errors
@@ -27,7 +29,6 @@ from lfrig.contracts.result import ReportDocument, SourceReport, TargetReport, W
 from lfrig.processing.export.pfm import read_pfm, write_pfm
 from lfrig.processing.export.png import read_png, write_png
 from lfrig.processing.model import F32, Image, LightFieldRequest, Pose
-from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from lfrig.processing.pipeline import ProcessResult, SourceResult

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+
 from lfrig.processing.export.content import Content
 from lfrig.processing.export.png import to_8_bit
 from lfrig.processing.model import F32, F64, U8

@@ -6,6 +6,7 @@ import shutil
 from pathlib import Path
 
 import numpy as np
+
 from lfrig.contracts.progress import Monitor
 from lfrig.processing.export.content import Content
 from lfrig.processing.export.png import write_png

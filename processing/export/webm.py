@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+
 from lfrig.contracts.errors import ProcessingError
 from lfrig.contracts.progress import Monitor
 from lfrig.processing.export.content import Content

@@ -9,14 +9,17 @@ import numpy as np
 
 from lfrig.processing.geometry import world_points
 from lfrig.processing.model import F32, F64, U8, Camera, Pose
-from lfrig.processing.report import words
+from lfrig.processing.report import pictures, words
 from lfrig.processing.report.html import Html, el
-from lfrig.processing.report.pictures import rgba
 
-PANEL = 480
-"""Side of a panel [user units]; its points are drawn at twice that many pixels."""
+WIDTH = 480
+"""Of a panel [user units]; its points are drawn at twice that many pixels."""
+MARGIN = 48
 POINTS = 60_000
-MARGIN = 46
+DOT = 2
+"""Side of a point [px of the drawing at double size]."""
+GLYPH = 44
+"""Length of a drawn frustum [user units]."""
 
 
 @dataclass(frozen=True)
@@ -78,10 +81,10 @@ def axes(standpoints: Sequence[Standpoint]) -> tuple[F64, F64, F64]:
 
 
 class _Panel:
-    """An orthographic drawing along ``depth``, with ``x`` to the right and ``y`` up the page."""
+    """An orthographic drawing seen against ``toward``, with ``x`` to the right and ``y`` up the page."""
 
-    def __init__(self, title: str, origin: F64, x: F64, y: F64, depth: F64) -> None:
-        self.title, self.origin, self.x, self.y, self.depth = title, origin, x, y, depth
+    def __init__(self, title: str, origin: F64, x: F64, y: F64, toward: F64) -> None:
+        self.title, self.origin, self.x, self.y, self.toward = title, origin, x, y, toward
 
     def flat(self, world: F64) -> F64:
         """World points [..., 3] → (right, up) [..., 2] in world lengths."""
@@ -90,19 +93,28 @@ class _Panel:
 
     def draw(self, standpoints: Sequence[Standpoint], cloud: Cloud, metric: bool) -> Html:
         low, high = self._bounds(standpoints, cloud)
-        scale = (PANEL - 2 * MARGIN) / float(np.max(high - low))
-        shift = np.array([PANEL, PANEL]) / 2 - scale * np.array([1, -1]) * (low + high) / 2
+        extent = high - low
+        height = float(np.clip(extent[1] / extent[0], 0.55, 0.85)) * WIDTH
+        scale = float(np.min((np.array([WIDTH, height]) - 2 * MARGIN) / extent))
+        shift = np.array([WIDTH, height]) / 2 - scale * np.array([1, -1]) * (low + high) / 2
 
         def page(flat: F64) -> F64:
             return flat * [scale, -scale] + shift
 
-        reach = 0.09 * float(np.max(high - low))
-        parts = [self._points(cloud, page)]
+        cameras, labels = [], _Labels()
         for standpoint in sorted(standpoints, key=lambda s: s.target):
-            parts += self._camera(standpoint, reach, page)
-        parts += _scale_bar(scale, metric)
-        label = f"{self.title}; cameras {words.listing([s.label for s in standpoints])}"
-        drawing = el("svg", *parts, viewBox=f"0 0 {PANEL} {PANEL}", role="img", aria_label=label, class_="overview")
+            cameras.append(self._camera(standpoint, GLYPH / scale, page, labels))
+        words_ = f"{self.title}; cameras {words.listing([s.label for s in standpoints])}"
+        drawing = el(
+            "svg",
+            self._points(cloud, page, round(height)),
+            *cameras,
+            *_scale_bar(scale, height, metric),
+            viewBox=f"0 0 {WIDTH} {height:.0f}",
+            role="img",
+            aria_label=words_,
+            class_="overview",
+        )
         return el("figure", drawing, el("figcaption", self.title))
 
     def _bounds(self, standpoints: Sequence[Standpoint], cloud: Cloud) -> tuple[F64, F64]:
@@ -112,20 +124,23 @@ class _Panel:
             flat = self.flat(cloud.points)
             corners += [np.percentile(flat, 1, axis=0), np.percentile(flat, 99, axis=0)]
         low, high = np.min(corners, 0), np.max(corners, 0)
-        return low, np.where(high - low < 1e-6, low + 1e-6, high)
+        # A lone camera, or a row of them, still needs some room around it.
+        room = max(1e-6, 0.1 * float(np.max(high - low)))
+        return low - room * (high - low < room), high + room * (high - low < room)
 
-    def _points(self, cloud: Cloud, page: Callable[[F64], F64]) -> Html:
-        pixels = np.zeros((2 * PANEL, 2 * PANEL, 4), np.uint8)
-        # Painted from the back: what is nearer to the reader (along −depth for y up) comes last.
-        order = np.argsort((cloud.points - self.origin) @ self.depth)
+    def _points(self, cloud: Cloud, page: Callable[[F64], F64], height: int) -> Html:
+        pixels = np.zeros((2 * height, 2 * WIDTH, 4), np.uint8)
+        # Painted from the back to what is nearest to the reader.
+        order = np.argsort((cloud.points - self.origin) @ self.toward)
         at = np.rint(2 * page(self.flat(cloud.points[order]))).astype(int)
-        inside = ((at >= 0) & (at < 2 * PANEL)).all(1)
-        columns, rows = at[inside].T
-        pixels[rows, columns, :3] = cloud.colours[order][inside]
-        pixels[rows, columns, 3] = 255
-        return el("image", href=rgba(pixels).uri, x=0, y=0, width=PANEL, height=PANEL)
+        for dy, dx in np.ndindex(DOT, DOT):
+            columns, rows = at[:, 0] + dx, at[:, 1] + dy
+            inside = (columns >= 0) & (columns < 2 * WIDTH) & (rows >= 0) & (rows < 2 * height)
+            pixels[rows[inside], columns[inside], :3] = cloud.colours[order][inside]
+            pixels[rows[inside], columns[inside], 3] = 255
+        return el("image", href=pictures.cutout(pixels).uri, x=0, y=0, width=WIDTH, height=height)
 
-    def _camera(self, standpoint: Standpoint, reach: float, page: Callable[[F64], F64]) -> list[Html]:
+    def _camera(self, standpoint: Standpoint, reach: float, page: Callable[[F64], F64], labels: _Labels) -> Html:
         pose, camera = standpoint.pose, standpoint.camera
         half = np.array([camera.width, camera.height]) / (2 * camera.focal_px)
         corners = np.array([[sx * half[0], sy * half[1], 1.0] for sx, sy in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
@@ -135,13 +150,34 @@ class _Panel:
         outline = " ".join(f"{x:.1f},{y:.1f}" for x, y in _hull(np.vstack([apex, ends])))
         away = apex - ends.mean(0)
         away = away / max(1e-9, float(np.linalg.norm(away)))
-        text = apex + 13 * away
+        x, y = labels.free_place(apex + 14 * away + [0, 4], len(standpoint.label))
         anchor = "start" if away[0] > 0.4 else "end" if away[0] < -0.4 else "middle"
-        return [
-            el("polygon", points=outline, class_=kind),
-            el("circle", cx=float(apex[0]), cy=float(apex[1]), r=3, class_=kind),
-            el("text", standpoint.label, x=float(text[0]), y=float(text[1]) + 4, text_anchor=anchor, class_=kind),
-        ]
+        return el(
+            "g",
+            el("polygon", points=outline),
+            el("circle", cx=float(apex[0]), cy=float(apex[1]), r=3),
+            el("text", standpoint.label, x=x, y=y, text_anchor=anchor),
+            class_=kind,
+        )
+
+
+class _Labels:
+    """Keeps labels from lying on each other."""
+
+    def __init__(self) -> None:
+        self.taken: list[tuple[float, float]] = []
+
+    def free_place(self, wanted: F64, letters: int) -> tuple[float, float]:
+        """``wanted`` (x, y), or the nearest place above or below it that no earlier label has."""
+        x, y = float(wanted[0]), float(wanted[1])
+        width = 8.0 * max(3, letters)
+        for step in (0, -1, 1, -2, 2, -3, 3):
+            moved = y + 14 * step
+            if all(abs(x - tx) > width or abs(moved - ty) > 12 for tx, ty in self.taken):
+                y = moved
+                break
+        self.taken.append((x, y))
+        return x, y
 
 
 def _hull(points: F64) -> F64:
@@ -163,10 +199,10 @@ def _turn(a: F64, b: F64, c: F64) -> float:
     return float((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
 
 
-def _scale_bar(scale: float, metric: bool) -> list[Html]:
+def _scale_bar(scale: float, height: float, metric: bool) -> list[Html]:
     """A bar of a round length, at most a third of the panel."""
-    span = words.nice_ticks(0.0, PANEL / 3 / scale, 1)[-1]
-    y, x = PANEL - 14, 14
+    span = words.nice_ticks(0.0, WIDTH / 3 / scale, 3)[-1]
+    y, x = height - 14, 14.0
     return [
         el("line", x1=x, x2=x + span * scale, y1=y, y2=y, class_="scale-bar"),
         el("text", words.length(span, metric=metric), x=x, y=y - 6),

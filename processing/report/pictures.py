@@ -92,9 +92,16 @@ def grey(values: U8) -> Picture:
     return _png(Pillow.fromarray(values))
 
 
-def rgba(values: U8) -> Picture:
-    """A PNG with transparency, uint8 [H, W, 4]."""
-    return _png(Pillow.fromarray(values))
+def cutout(values: U8) -> Picture:
+    """A picture with transparency, uint8 [H, W, 4], compressed with loss where that is available."""
+    from PIL import features
+
+    picture = Pillow.fromarray(values)
+    if not features.check("webp"):
+        return _png(picture)
+    stream = io.BytesIO()
+    picture.save(stream, "WEBP", quality=70, method=4)
+    return Picture(_uri("image/webp", stream.getvalue()), *picture.size)
 
 
 def strip(image: U8, factor: int, axis: int) -> Picture:

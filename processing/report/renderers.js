@@ -34,11 +34,24 @@ const lightFieldRenderers = (() => {
     const row = clamp(Math.round(y), 0, data.height - 1);
     return data.low + ((data.high - data.low) * levels[row * data.width + column]) / 255;
   };
-  // The disparity d of what is at (px, py) seen from (sx, sy): the fixed point of d = centre(p + s d).
+  // The disparity d of what is seen at (px, py) from (sx, sy): the nearest solution of d = centre(p + s d), found by
+  // walking from the nearest possible d to the farthest in steps of less than a pixel. Where there is none, something
+  // comes into view that the centre does not see: the farthest surface along the walk stands in for it.
   const disparityFrom = (levels, data, px, py, sx, sy) => {
-    let d = disparityAt(levels, data, px, py);
-    for (let i = 0; i < 6; i++) d = disparityAt(levels, data, px + sx * d, py + sy * d);
-    return d;
+    const span = data.high - data.low, steps = clamp(Math.ceil(1.5 * Math.hypot(sx, sy) * span), 1, 32);
+    const step = span / steps;
+    let farthest = data.high;
+    for (let i = 0; i <= steps; i++) {
+      let d = data.high - i * step;
+      const found = disparityAt(levels, data, px + sx * d, py + sy * d);
+      farthest = Math.min(farthest, found);
+      if (Math.abs(found - d) > step) continue;
+      for (let k = 0; k < 4; k++) {
+        d += clamp(disparityAt(levels, data, px + sx * d, py + sy * d) - d, -step, step);
+      }
+      return d;
+    }
+    return farthest;
   };
 
   const VERTEX = `#version 300 es
@@ -49,8 +62,29 @@ const lightFieldRenderers = (() => {
     uniform vec2 size, eye, range; uniform ivec2 grid; uniform ivec4 window;
     uniform float focus, aperture, gain;
     out vec4 colour;
-    float centre(vec2 p) { return mix(range.x, range.y, texture(disparity, (p + .5) / size).r); }
-    float seenFrom(vec2 p, vec2 s) { float d = centre(p); for (int i = 0; i < 5; i++) d = centre(p + s * d); return d; }
+    // Not interpolated: between two surfaces there is none.
+    float centre(vec2 p) {
+      ivec2 at = clamp(ivec2(round(p)), ivec2(0), ivec2(size) - 1);
+      return mix(range.x, range.y, texelFetch(disparity, at, 0).r);
+    }
+    // As disparityFrom above. Returns the disparity, and in xy the place in the centre view that shows the point:
+    // where the centre does not see it, the neighbouring place of the surface that stands in for it.
+    vec3 seenFrom(vec2 p, vec2 s) {
+      float span = range.y - range.x;
+      int steps = int(clamp(ceil(1.5 * length(s) * span), 1., 32.));
+      float unit = span / float(steps);
+      vec3 farthest = vec3(p, range.y);
+      for (int i = 0; i <= steps; i++) {
+        float d = range.y - float(i) * unit, found = centre(p + s * d);
+        if (found <= farthest.z) farthest = vec3(p + s * d, found);
+        if (abs(found - d) > unit) continue;
+        for (int k = 0; k < 4; k++) d += clamp(centre(p + s * d) - d, -unit, unit);
+        return vec3(p + s * d, d);
+      }
+      return farthest;
+    }
+    // Good enough where blur hides the rest, and much cheaper.
+    float roughlyFrom(vec2 p, vec2 s) { float d = centre(p); for (int i = 0; i < 3; i++) d = centre(p + s * d); return d; }
     vec3 view(ivec2 v, vec2 p, float blur) {
       return textureLod(views, vec3((p + .5) / size, float(v.y * grid.x + v.x)), blur).rgb;
     }
@@ -59,12 +93,14 @@ const lightFieldRenderers = (() => {
       vec2 middle = vec2(grid - 1) * .5, at = clamp(eye + middle, vec2(0), vec2(grid - 1));
       ivec2 low = clamp(ivec2(floor(at)), ivec2(0), grid - 2);
       vec2 f = at - vec2(low);
-      float d = seenFrom(p, gain * eye);
+      vec3 seen = seenFrom(p, gain * eye);
+      // At its own viewpoint a view shows what the centre does not see; beyond it nothing does.
+      vec2 source = gain > 1.001 ? seen.xy : p + gain * eye * seen.z;
       vec3 sum = vec3(0);
       for (int i = 0; i < 4; i++) {
         ivec2 corner = ivec2(i & 1, i >> 1), v = low + corner;
         vec2 w = mix(1. - f, f, vec2(corner));
-        sum += w.x * w.y * view(v, p + (gain * eye - (vec2(v) - middle)) * d, 0.);
+        sum += w.x * w.y * view(v, source - (vec2(v) - middle) * seen.z, 0.);
       }
       return sum;
     }
@@ -72,14 +108,14 @@ const lightFieldRenderers = (() => {
     // is read from a coarser level, as wide as the gap between two views' copies, so that they melt into one blur.
     vec3 synthetic(vec2 p) {
       vec2 middle = vec2(grid - 1) * .5;
-      float blur = log2(max(1., gain * abs(seenFrom(p, gain * eye) - focus)));
+      float blur = log2(max(1., gain * abs(roughlyFrom(p, gain * eye) - focus)));
       vec4 sum = vec4(0);
       for (int y = window.y; y <= window.w; y++) for (int x = window.x; x <= window.z; x++) {
         vec2 v = vec2(x, y) - middle;
         float w = smoothstep(aperture + .5, aperture - .5, length(v - eye));
         if (w <= 0.) continue;
         vec2 q = p + gain * (eye - v) * focus;
-        if (gain != 1.) q += (gain - 1.) * v * seenFrom(q, gain * v);
+        if (gain != 1.) q += (gain - 1.) * v * roughlyFrom(q, gain * v);
         sum += w * vec4(view(ivec2(x, y), q, blur), 1);
       }
       return sum.rgb / max(sum.a, 1e-6);
@@ -128,7 +164,7 @@ const lightFieldRenderers = (() => {
     gl.bindTexture(gl.TEXTURE_2D, gl.createTexture());
     gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
     gl.texImage2D(gl.TEXTURE_2D, 0, gl.R8, width, height, 0, gl.RED, gl.UNSIGNED_BYTE, levels);
-    filter(gl.TEXTURE_2D, gl.LINEAR);
+    filter(gl.TEXTURE_2D, gl.NEAREST);
   }
 
   // A renderer, or null where WebGL2 is missing or too small.
@@ -167,25 +203,43 @@ const lightFieldRenderers = (() => {
 
   // Whole views, shifted and averaged: no disparity per pixel, so no gain.
   function plain(canvas, data, atlas) {
-    const pen = canvas.getContext("2d");
     const { width, height } = data;
+    const layers = [canvas.getContext("2d")];
+    const layer = (depth) => (layers[depth] ??= cut(atlas, data, 0, 0).getContext("2d"));
+    // The weighted mean of `copies` on layer(depth); returns their weight. Halves are averaged with halves, because
+    // eight bits would swallow the small weights of a running mean.
+    function average(copies, depth) {
+      const pen = layer(depth);
+      if (copies.length === 1) {
+        const [col, row, dx, dy, weight] = copies[0];
+        pen.globalAlpha = 1;
+        // Unshifted first, so that the border which the shift uncovers is not empty.
+        for (const [x, y] of [[0, 0], [dx, dy]]) {
+          pen.drawImage(atlas, col * width, row * height, width, height, x, y, width, height);
+        }
+        return weight;
+      }
+      const middle = copies.length >> 1;
+      const first = average(copies.slice(0, middle), depth), second = average(copies.slice(middle), depth + 1);
+      pen.globalAlpha = second / (first + second);
+      pen.drawImage(layer(depth + 1).canvas, 0, 0);
+      return first + second;
+    }
     return {
       name: "canvas",
       draw(state) {
         const closed = state.aperture < 0.7;
-        let total = 0;
+        const copies = [];
         for (let i = 0; i < data.rows * data.cols; i++) {
           const col = i % data.cols, row = Math.floor(i / data.cols);
           const dx = col - (data.cols - 1) / 2 - state.x, dy = row - (data.rows - 1) / 2 - state.y;
           const weight = closed
             ? Math.max(0, 1 - Math.abs(dx)) * Math.max(0, 1 - Math.abs(dy))
             : clamp(state.aperture + 0.5 - Math.hypot(dx, dy), 0, 1);
-          if (weight < 0.001) continue;
-          total += weight;
-          pen.globalAlpha = weight / total; // a running mean
-          const [sx, sy] = closed ? [0, 0] : [dx * state.focus, dy * state.focus];
-          pen.drawImage(atlas, col * width, row * height, width, height, sx, sy, width, height);
+          const focus = closed ? 0 : state.focus;
+          if (weight > 0.001) copies.push([col, row, dx * focus, dy * focus, weight]);
         }
+        average(copies, 0);
       },
     };
   }

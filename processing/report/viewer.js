@@ -16,6 +16,7 @@
   const OPENED = Math.min(2.5, widest); // aperture that a click opens a pinhole to, else focus would change nothing
   const find = (selector) => host.querySelector(selector);
   const pad = find(".pad"), swayButton = find('[data-do="sway"]');
+  const still = matchMedia("(prefers-reduced-motion: reduce)").matches;
   let canvas = find("canvas");
 
   // ---- state ---------------------------------------------------------------------------------------------------------
@@ -30,7 +31,8 @@
     state.focus = clamp(state.focus, data.low, data.high);
     state.aperture = clamp(state.aperture, 0, widest + 0.5);
     state.gain = clamp(state.gain, 1, data.maxGain);
-    dirty = true;
+    dirty = true; // drawn with the next frame
+    if (renderer) show();
   }
   function sway(on) {
     swayingSince = on ? performance.now() : null;
@@ -40,7 +42,8 @@
   const refocus = (px, py) => {
     const focus = disparityFrom(levels, data, px, py, state.gain * state.x, state.gain * state.y);
     const aperture = state.aperture < 0.7 ? OPENED : state.aperture;
-    easing = { start: performance.now(), from: { ...state }, to: { focus, aperture } };
+    if (still) set({ focus, aperture });
+    else easing = { start: performance.now(), from: { ...state }, to: { focus, aperture } };
   };
 
   function frame(now) {
@@ -56,12 +59,11 @@
       set({ focus: mix("focus"), aperture: mix("aperture") });
       if (t === 1) easing = null;
     }
-    if (dirty) present();
+    if (dirty) draw();
   }
-  function present() {
+  function draw() {
     dirty = false;
     renderer.draw(state);
-    show();
   }
 
   // ---- what is shown beside the picture ------------------------------------------------------------------------------
@@ -218,11 +220,12 @@
     canvas.addEventListener("webglcontextlost", (event) => event.preventDefault());
     canvas.addEventListener("webglcontextrestored", () => { renderer = webgl(canvas, data, atlas, levels); dirty = true; });
     new IntersectionObserver(([entry]) => { visible = entry.isIntersecting; }).observe(host);
-    present();
+    draw();
+    show();
     canvas.hidden = false;
     host.classList.add("ready");
     root.dataset.viewer = renderer.name;
-    if (!asked && !matchMedia("(prefers-reduced-motion: reduce)").matches) sway(true);
+    if (!asked && !still) sway(true);
     requestAnimationFrame(frame);
   }
   start().catch((error) => {
