@@ -62,7 +62,8 @@ def score_candidate(
     Parameters
     ----------
     recorded_views : uint8 [rows, cols, H, W, 3], optional
-        The target's own recorded views, when it is a light field; without them the views of ``truth`` count.
+        The target's own recorded views, when it is a light field: the candidate's are meant to be the same. Without
+        them the views of ``truth`` count, when they are of the candidate's optics.
     oracles : dict, optional
         What `score_oracles` returned for the same photo, truth, request and size, to save computing it again.
 
@@ -92,7 +93,7 @@ def score_candidate(
     fields: dict[str, object] = {}
     if candidate.views is not None:
         reference = truth.views if recorded_views is None else recorded_views
-        mismatch = truth.shows(request.baseline_m, request.focus_distance_m, reference, candidate.views.shape)
+        mismatch = truth.shows(request, reference, candidate.views.shape, any_optics=recorded_views is not None)
         if mismatch or reference is None:
             notes.append(f"the views are not scored: {mismatch}")
         else:

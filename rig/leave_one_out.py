@@ -124,23 +124,37 @@ def _score_left_out(
     """Score one result against the light field that was left out, write score.json, and return its row."""
     from lfrig.processing.report.page import add_score
 
-    result = load_result(folder)
-    known = truth_beside(store.path)
+    result, known = load_result(folder), truth_beside(store.path)
     has_truth = (known / "truth.json").is_file()
     if has_truth:
-        truth, candidate = load_capture_truth(known, left_out.id), _candidate(result)
+        truth = load_capture_truth(known, left_out.id)
+        candidate = _true_candidate(result, left_out, truth, options, monitor)
     else:
         truth, candidate = own_truth(result, left_out, options, monitor)
     score, error_px = score_candidate(
         candidate, truth, recorded_views=left_out.views, oracles=None if has_truth else {},
         threads=options.threads, monitor=monitor,
     )  # fmt: skip
+    notes = [*score.notes, f"views of b = {candidate.request.baseline_m:.6g}, z_f = "
+             f"{candidate.request.focus_distance_m:.6g}: those of the left-out light field"]  # fmt: skip
     if not has_truth:
-        note = "no truth: the disparity is scored against the one that the left-out light field shows, an estimate"
-        score = score.model_copy(update={"notes": [*score.notes, note]})
+        notes.append("no truth: the disparity is scored against that of the left-out light field, an estimate")
+    score = score.model_copy(update={"notes": notes})
     score.save(folder / "score.json")
     add_score(folder, score, error_px)
     return _row(result, score, "truth" if has_truth else "own light field (estimated)")
+
+
+def _true_candidate(
+    result: LoadedResult, left_out: LightField, truth: CaptureTruth, options: ProcessOptions, monitor: Monitor
+) -> Candidate:
+    """The result as a light field of the left-out one's true optics: the recorded ones have errors of their own."""
+    if not result.report.target.metric or truth.baseline_m is None or truth.focus_distance_m is None:
+        own = estimate_disparity(left_out, None, options.settings.dpv, threads=options.threads, monitor=monitor)
+        request = fitted_request(own, result, result.request, result.report.target.fx)
+    else:
+        request = replace(result.request, baseline_m=truth.baseline_m, focus_distance_m=truth.focus_distance_m)
+    return _with_optics(result, left_out, request, options, monitor)
 
 
 def own_truth(
@@ -148,22 +162,14 @@ def own_truth(
 ) -> tuple[CaptureTruth, Candidate]:
     """What stands for the truth of a left-out light field when there is none: its own disparity and views.
 
-    When its optics are known, the result was made for them. Otherwise they are fitted between the two
-    geometries, and the views are made again with them.
+    Recorded optics are trusted when they claim to be exact; otherwise they are fitted between the two geometries.
     """
-    from lfrig.processing.synthesis import fill_nan, render_views
-
     own = estimate_disparity(left_out, None, options.settings.dpv, threads=options.threads, monitor=monitor)
-    candidate, request, focal_px = _candidate(result), result.request, result.report.target.fx
-    optics = left_out.optics
-    if optics.baseline_m is None or optics.focus_distance_m is None:
+    request, focal_px, optics = result.request, result.report.target.fx, left_out.optics
+    exact = optics.sigma_baseline == 0 and optics.baseline_m is not None and optics.focus_distance_m is not None
+    if not exact:
         request = fitted_request(own, result, request, focal_px)
-        disparity = request.disparity(result.inverse_depth, focal_px)
-        views = render_views(
-            left_out.centre_view, fill_nan(disparity), *left_out.angular, method="z_buffer",
-            threads=options.threads, monitor=monitor,
-        )  # fmt: skip
-        candidate = Candidate(disparity, views, request)
+    candidate = _with_optics(result, left_out, request, options, monitor)
     truth = CaptureTruth(
         id=left_out.id,
         inverse_depth=request.inverse_depth(own.disparity, focal_px),
@@ -175,6 +181,27 @@ def own_truth(
     )
     # In its own truth's units, whatever the gauge: both geometries are in the same one.
     return truth, replace(candidate, metric=True)
+
+
+def _with_optics(
+    result: LoadedResult,
+    left_out: LightField,
+    request: LightFieldRequest,
+    options: ProcessOptions,
+    monitor: Monitor,
+) -> Candidate:
+    """The result's geometry as a light field of ``request``; its views are made again when that is another one."""
+    from lfrig.processing.synthesis import fill_nan, render_views
+
+    target, made = result.report.target, result.request
+    if request == made:
+        return Candidate(result.disparity, result.views, made, target.metric)
+    disparity = request.disparity(result.inverse_depth, target.fx)
+    views = render_views(
+        left_out.centre_view, fill_nan(disparity), *left_out.angular, method="z_buffer",
+        threads=options.threads, monitor=monitor,
+    )  # fmt: skip
+    return Candidate(disparity, views, request, target.metric)
 
 
 def fitted_request(
@@ -218,10 +245,6 @@ def markdown(document: BenchDocument) -> str:
         cells = [format(row[key], form) if row.get(key) is not None else "" for key, _, form in columns]
         lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines) + "\n"
-
-
-def _candidate(result: LoadedResult) -> Candidate:
-    return Candidate(result.disparity, result.views, result.request, result.report.target.metric)
 
 
 def _row(result: LoadedResult, score: ScoreDocument, reference: str) -> dict[str, Any]:

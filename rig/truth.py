@@ -10,7 +10,7 @@ import numpy as np
 from lfrig.contracts.capture import ViewsSpec
 from lfrig.contracts.errors import BadInput
 from lfrig.contracts.truth import TruthCapture, TruthDocument
-from lfrig.processing.model import F32, U8
+from lfrig.processing.model import F32, U8, LightFieldRequest
 
 OPTICS_TOLERANCE = 1e-6
 """Views are compared when their baseline and focus distance agree to this fraction."""
@@ -49,18 +49,20 @@ class CaptureTruth:
         return np.asarray(bf * (self.inverse_depth.astype(np.float64) - 1.0 / focus_distance_m), np.float32)
 
     def shows(
-        self, baseline_m: float, focus_distance_m: float, reference: U8 | None, shape: tuple[int, ...]
+        self, request: LightFieldRequest, reference: U8 | None, shape: tuple[int, ...], *, any_optics: bool = False
     ) -> str | None:
-        """None when ``reference`` are views of a light field with these optics and this shape, else why
+        """None when ``reference`` are views of this shape and (unless ``any_optics``) of these optics; else why
         not.
         """
         if reference is None:
             return "the truth holds no views"
         if reference.shape != shape:
             return f"the true ones are {_size(reference.shape)}, the result's {_size(shape)}"
+        if any_optics:
+            return None
         for name, mine, asked in (
-            ("baseline", self.baseline_m, baseline_m),
-            ("focus distance", self.focus_distance_m, focus_distance_m),
+            ("baseline", self.baseline_m, request.baseline_m),
+            ("focus distance", self.focus_distance_m, request.focus_distance_m),
         ):
             if mine is None or abs(asked / mine - 1.0) > OPTICS_TOLERANCE:
                 shown = "unknown" if mine is None else f"{mine:.7g} m"
