@@ -15,6 +15,10 @@ from lfrig.processing.model import F32, F64, Anchors, Camera, Evidence, LightFie
 from numpy.typing import NDArray
 
 MIN_ANCHORS = 8
+EFFECTIVE_ANCHORS = 60
+MIN_OPTICS_SIGMA = 0.005
+PRIOR_LIMIT = 4.0
+"""Standard deviations beyond which anchors and recorded optics contradict each other."""
 
 
 @dataclass(frozen=True)
@@ -29,14 +33,32 @@ class ScaleFitSettings:
     min_spread_px: float = 0.05
     """Refuse when the anchors' disparities spread less than this (10th to 90th percentile)."""
     min_inliers: float = 0.3
-    prior_sigma_slope: float = 0.1
-    """Relative sigma of a slope known from the optics, used when the anchors alone do not determine it."""
+    use_optics: bool = True
+    """Recorded baseline, focal length and focus distance support the fit, by their sigmas."""
+    min_trusted_anchors: int = 60
+    """This many anchors that contradict the recorded optics are believed."""
 
 
 DEFAULT_SCALE_FIT = ScaleFitSettings()
 
 
-def fit_affine(disparity: F64, inverse_depth: F64, *, iterations: int = 50) -> ScaleFit:
+@dataclass(frozen=True)
+class ScalePrior:
+    """What the recorded optics say of the line, with standard deviations: a in 1/(px·m), c in 1/m."""
+
+    a: float
+    c: float
+    sigma_a: float
+    sigma_c: float
+
+    def excess(self, fit: ScaleFit) -> float:
+        """How far a fit lies from the prior, in standard deviations of the worse parameter."""
+        return max(abs(fit.a - self.a) / self.sigma_a, abs(fit.c - self.c) / self.sigma_c)
+
+
+def fit_affine(
+    disparity: F64, inverse_depth: F64, prior: ScalePrior | None = None, *, iterations: int = 50
+) -> ScaleFit:
     """Robust line ``1/z = a δ + c``.
 
     A least-median-of-squares start over point pairs (deterministic), then Tukey's biweight with a MAD scale and δ
@@ -47,6 +69,9 @@ def fit_affine(disparity: F64, inverse_depth: F64, *, iterations: int = 50) -> S
     ----------
     disparity, inverse_depth : float64 [N]
         Finite; px per view step and 1/m.
+    prior : ScalePrior, optional
+        Gaussian prior of (a, c). The anchors count as at most `EFFECTIVE_ANCHORS` independent ones against it: their
+        disparities share the light field's systematic errors.
 
     Raises
     ------
@@ -55,20 +80,27 @@ def fit_affine(disparity: F64, inverse_depth: F64, *, iterations: int = 50) -> S
     """
     if len(disparity) < 2 or np.ptp(disparity) <= 0:
         raise _refusal("flat-anchors", "all anchors have the same disparity", "")
-    slope, offset = _least_median_start(disparity, inverse_depth)
+    slope, offset = _least_median_start(disparity, inverse_depth, prior)
     floor = 1e-9 * float(np.abs(inverse_depth).max() + 1e-12)
-    weights: F64 = np.ones(len(disparity))
+    share = min(1.0, EFFECTIVE_ANCHORS / len(disparity)) if prior else 1.0
+    scale = floor
     for _ in range(iterations):
         residual = inverse_depth - (slope * disparity + offset)
         scale = 1.4826 * float(np.median(np.abs(residual))) + floor
-        weights = np.clip(1 - (residual / (4.685 * scale)) ** 2, 0, None) ** 2
+        weights: F64 = np.clip(1 - (residual / (4.685 * scale)) ** 2, 0, None) ** 2
         mean = float(np.average(disparity, weights=weights))
+        # Unknowns: slope and the level at the mean disparity.
         centred = disparity - mean
-        spread = float((weights * centred**2).sum())
-        if spread <= 0:
+        normal = share / scale**2 * np.diag([float((weights * centred**2).sum()), float(weights.sum())])
+        right = share / scale**2 * np.array([(weights * centred * inverse_depth).sum(), (weights * inverse_depth).sum()])
+        if prior:
+            # c = level − mean·a, so the prior of c is a row (−mean, 1) in these unknowns.
+            rows = np.array([[1.0, 0.0], [-mean, 1.0]]) / np.array([[prior.sigma_a], [prior.sigma_c]])
+            normal = normal + rows.T @ rows
+            right = right + rows.T @ np.array([prior.a / prior.sigma_a, prior.c / prior.sigma_c])
+        if normal[0, 0] <= 0:
             break
-        level = float(np.average(inverse_depth, weights=weights))
-        new_slope = float((weights * centred * (inverse_depth - level)).sum() / spread)
+        new_slope, level = (float(v) for v in np.linalg.solve(normal, right))
         new_offset = level - new_slope * mean
         moved = abs(new_slope - slope) * float(np.abs(centred).max()) + abs(new_offset - offset)
         slope, offset = new_slope, new_offset
@@ -78,8 +110,10 @@ def fit_affine(disparity: F64, inverse_depth: F64, *, iterations: int = 50) -> S
     return ScaleFit(slope, offset, scale, float(inlier.mean()), len(disparity), "affine")
 
 
-def _least_median_start(disparity: F64, inverse_depth: F64, trials: int = 500) -> tuple[float, float]:
-    """The line through two points with the least median residual (Rousseeuw 1984), seeded."""
+def _least_median_start(
+    disparity: F64, inverse_depth: F64, prior: ScalePrior | None, trials: int = 500
+) -> tuple[float, float]:
+    """The line through two points with the least median residual (Rousseeuw 1984), seeded; near the prior, if any."""
     rng = np.random.default_rng(len(disparity))
     i, j = rng.integers(0, len(disparity), (2, trials))
     run = disparity[j] - disparity[i]
@@ -89,6 +123,9 @@ def _least_median_start(disparity: F64, inverse_depth: F64, trials: int = 500) -
         usable, run = np.array([True]), disparity[j] - disparity[i]
     slopes = (inverse_depth[j] - inverse_depth[i])[usable] / run[usable]
     offsets = inverse_depth[i][usable] - slopes * disparity[i][usable]
+    if prior:
+        near = (np.abs(slopes - prior.a) < 4 * prior.sigma_a) & (np.abs(offsets - prior.c) < 4 * prior.sigma_c)
+        slopes, offsets = np.r_[slopes[near], prior.a], np.r_[offsets[near], prior.c]
     pick = slice(None, None, max(1, len(disparity) // 400))
     residual = np.abs(inverse_depth[pick] - slopes[:, None] * disparity[pick] - offsets[:, None])
     best = int(np.median(residual, axis=1).argmin())
@@ -153,18 +190,28 @@ def fit_scale(
         recorded either; the message names the capture.
     """
     disparity, usable = anchor_disparities(anchors, evidence, settings)
-    known = scale_from_optics(light_field, camera) if metric else None
+    known = optics_prior(light_field, camera) if metric and settings.use_optics else None
+    name = light_field.id
     try:
-        return _fit_checked(light_field.id, disparity[usable], 1 / anchors.depth_m[usable], evidence, settings, known)
+        return _fit_checked(name, disparity[usable], 1 / anchors.depth_m[usable], evidence, settings, known, monitor)
     except GeometryRefused as refusal:
         if known is None:
             raise
         monitor.warn(
             "scale-from-optics",
-            f"capture {light_field.id}: {refusal.message.split(': ', 1)[-1]}; its scale is taken from the recorded "
+            f"capture {name}: {refusal.message.split(': ', 1)[-1]}; its scale is taken from the recorded "
             "baseline and focus distance instead",
         )
-        return known
+        return ScaleFit(known.a, known.c, known.sigma_c, 0.0, int(usable.sum()), "optics")
+
+
+def optics_prior(light_field: LightField, camera: Camera) -> ScalePrior | None:
+    """``a = 1/(bF)``, ``c = 1/z_f`` and their sigmas when baseline and focus distance are recorded, else None."""
+    known = scale_from_optics(light_field, camera)
+    if known is None:
+        return None
+    relative = max(MIN_OPTICS_SIGMA, light_field.optics.sigma_baseline)
+    return ScalePrior(known.a, known.c, known.a * float(np.hypot(relative, camera.sigma_focal)), known.c * relative)
 
 
 def scale_from_optics(light_field: LightField, camera: Camera) -> ScaleFit | None:
@@ -181,22 +228,33 @@ def _fit_checked(
     inverse_depth: F64,
     evidence: Evidence,
     settings: ScaleFitSettings,
-    known: ScaleFit | None,
+    known: ScalePrior | None,
+    monitor: Monitor,
 ) -> ScaleFit:
-    if len(disparity) < MIN_ANCHORS:
-        raise _refusal("too-few-anchors", f"only {len(disparity)} usable anchors, {MIN_ANCHORS} are needed", name)
+    count = len(disparity)
+    if count < MIN_ANCHORS:
+        raise _refusal("too-few-anchors", f"only {count} usable anchors, {MIN_ANCHORS} are needed", name)
     if settings.form == "paper":
         return _paper_as_affine(disparity, inverse_depth, evidence)
     spread = float(np.subtract(*np.quantile(disparity, [0.9, 0.1])))
-    if spread < settings.min_spread_px:
-        if known is not None:
-            return offset_with_known_slope(disparity, inverse_depth, known.a)
+    if spread < settings.min_spread_px and known is None:
         raise _refusal(
             "narrow-anchors",
             f"the anchors' disparities spread only {spread:.3f} px, {settings.min_spread_px:g} px are needed",
             name,
         )
-    fit = fit_affine(disparity, inverse_depth)
+    fit = fit_affine(disparity, inverse_depth, known)
+    if known is not None and spread >= settings.min_spread_px:
+        free = fit_affine(disparity, inverse_depth)
+        trusted = count >= settings.min_trusted_anchors and free.inliers > 0.6 and free.a > 0
+        agree = [_agreeing(f, disparity, inverse_depth, 3 * free.residual) for f in (free, fit)]
+        if trusted and known.excess(free) > PRIOR_LIMIT and agree[0] > 1.3 * agree[1]:
+            monitor.warn(
+                "optics-mismatch",
+                f"capture {name}: {count} anchors contradict the recorded optics (baseline, focal length or focus "
+                "distance are wrong by more than their sigmas); the anchors are believed",
+            )
+            fit = free
     if fit.a <= 0:
         raise _refusal(
             "wrong-sign", "nearer anchors have smaller disparities: the views are ordered the other way round", name
@@ -206,13 +264,8 @@ def _fit_checked(
     return fit
 
 
-def offset_with_known_slope(disparity: F64, inverse_depth: F64, slope: float) -> ScaleFit:
-    """Only c from the anchors: with a narrow range of disparities, noise shrinks a fitted slope (to .57 at .2 px)."""
-    residual = inverse_depth - slope * disparity
-    offset = float(np.median(residual))
-    sigma = 1.4826 * float(np.median(np.abs(residual - offset)))
-    inliers = float((np.abs(residual - offset) < 4.685 * sigma + 1e-12).mean())
-    return ScaleFit(slope, offset, sigma, inliers, len(disparity), "known-slope")
+def _agreeing(fit: ScaleFit, disparity: F64, inverse_depth: F64, tolerance: float) -> int:
+    return int((np.abs(inverse_depth - (fit.a * disparity + fit.c)) < tolerance).sum())
 
 
 def _paper_as_affine(disparity: F64, inverse_depth: F64, evidence: Evidence) -> ScaleFit:

@@ -15,7 +15,7 @@ from lfrig.processing import scale_fit
 from lfrig.processing.dpv import light_field_evidence
 from lfrig.processing.export.pfm import read_pfm
 from lfrig.processing.model import Anchors, Optics
-from lfrig.processing.scale_fit import ScaleFitSettings, fit_affine, fit_paper, fit_scale
+from lfrig.processing.scale_fit import ScaleFitSettings, ScalePrior, fit_affine, fit_paper, fit_scale
 from tests.processing import scenes
 
 
@@ -121,8 +121,28 @@ def test_one_plane_is_refused_without_a_known_slope(capture) -> None:
     with pytest.raises(GeometryRefused) as refusal:
         fit(capture, far)
     assert refusal.value.code == "narrow-anchors"
+    known = 1 / (scenes.BASELINE_M * scenes.FOCAL)
     found = fit(capture, far, optics=Optics(scenes.BASELINE_M, scenes.FOCUS_M))
-    assert found.form == "known-slope"
+    assert found.a == pytest.approx(known, rel=0.1), "the recorded optics hold the slope"
+
+
+def test_anchors_that_contradict_the_recorded_optics_are_believed(capture) -> None:
+    monitor = Monitor()
+    a = both_planes(capture[2])
+    many = Anchors(np.tile(a.xy, (8, 1)), np.tile(a.depth_m, 8), np.tile(a.world, (8, 1)))
+    wrong = Optics(0.5 * scenes.BASELINE_M, 0.7 * scenes.FOCUS_M)
+    found = fit(capture, many, monitor, optics=wrong)
+    assert found.a == pytest.approx(1 / (scenes.BASELINE_M * scenes.FOCAL), rel=0.1)
+    assert "optics-mismatch" in [n.code for n in monitor.notices]
+
+
+def test_a_prior_carries_a_fit_that_outliers_would_ruin() -> None:
+    rng = np.random.default_rng(3)
+    delta = rng.uniform(0.0, 0.12, 20)
+    observed = 1.43 * delta + 2.17 + rng.normal(0, 0.02, 20)
+    observed[:8] = rng.uniform(2.1, 2.5, 8)
+    prior = ScalePrior(1.40, 2.2, 0.05, 0.06)
+    assert abs(fit_affine(delta, observed, prior).a - 1.43) < 0.1 < abs(fit_affine(delta, observed).a - 1.43)
 
 
 def test_reversed_views_are_refused(capture) -> None:
