@@ -145,4 +145,6 @@ def _cell(value: object, form: str) -> str:
         return "yes" if value else "**no**"
     if isinstance(value, (list, tuple)):
         return ", ".join(str(item) for item in value)
-    return format(value, form) if form and isinstance(value, (int, float)) else str(value)
+    if form and isinstance(value, (int, float)):
+        return format(value, form)
+    return str(value).replace("|", "\\|").replace("\n", " ")

@@ -27,7 +27,7 @@ TRUE_SCALE = ScaleFit(a=1 / 0.7, c=1 / 0.46)
 """bF = 0.70 px·m, focused at 0.46 m: inside the range of depths."""
 
 DISPARITY_NOISE_PX = 0.02
-PLANE_DEPTH_M = 0.47
+PLANE_DEPTH_M, VIEWS = 0.47, 5
 
 
 def exact_anchors(
@@ -72,9 +72,9 @@ def one_plane() -> tuple[list[LightField], Photo, RigPrior, float]:
     camera = Camera.centred(WIDTH, HEIGHT, FOCAL_PX)
     sources = []
     for name, x in (("000", -0.08), ("001", 0.08)):
-        views = np.empty((7, 7, HEIGHT, WIDTH, 3), np.uint8)
-        for r, c in np.ndindex(7, 7):
-            shift = np.array([c - 3, r - 3])
+        views = np.empty((VIEWS, VIEWS, HEIGHT, WIDTH, 3), np.uint8)
+        for r, c in np.ndindex(VIEWS, VIEWS):
+            shift = np.array([c, r]) - VIEWS // 2
             views[r, c] = _look(camera, x + shift[0] * baseline_m, shift[1] * baseline_m, shift * baseline_m / focus_m)
         pose = Pose(np.eye(3), np.array([-x, 0.0, 0.0]))
         sources.append(LightField(name, views, camera, Optics(baseline_m, focus_m), pose))
@@ -136,9 +136,9 @@ def _look(camera: Camera, x_m: float, y_m: float, shear: F64) -> U8:
     rng = np.random.default_rng(0)
     picture = np.zeros((camera.height, camera.width, 3))
     # A band-limited texture without repetition: waves of 4 to 20 px in all directions.
-    for _ in range(40):
+    for _ in range(16):
         period_m = rng.uniform(4, 20) * PLANE_DEPTH_M / FOCAL_PX
         angle, phase = rng.uniform(0, np.pi), rng.uniform(0, 2 * np.pi)
         wave = np.sin(2 * np.pi * (np.cos(angle) * u + np.sin(angle) * v) / period_m + phase)
         picture += wave[..., None] * rng.uniform(0.3, 1, 3)
-    return np.asarray(np.clip(np.rint(128 + 16 * picture), 0, 255), np.uint8)
+    return np.asarray(np.clip(np.rint(128 + 24 * picture), 0, 255), np.uint8)
