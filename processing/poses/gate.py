@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -10,8 +11,10 @@ from lfrig.contracts.errors import GeometryRefused
 from lfrig.contracts.progress import Monitor
 from lfrig.processing.geometry import rotation_angle_deg
 from lfrig.processing.model import F64, Pose
+from lfrig.processing.poses.epipolar import fundamental_matrix, sampson_distance
 from lfrig.processing.poses.features import Features
 from lfrig.processing.poses.matching import Matches
+from lfrig.processing.poses.structure import Structure
 from lfrig.processing.poses.tracks import Pair
 
 SAME_ROTATION_DEG = 0.01
@@ -26,6 +29,13 @@ ANGLE_SIGMAS = 4.0
 FOCAL_SIGMAS = 4.0
 MIN_PHOTO_MATCHES = 12
 MIN_VIEW_MATCHES = 15
+MIN_AGREEMENT = 0.2
+"""Wrong geometry: at most 0.22 of the unguided matches of a view's best pair agree; right one: above 0.6, on texture
+that repeats exactly 0.24 to 0.6."""
+
+DOUBTFUL_AGREEMENT = 0.35
+AGREE = 0.006
+"""Sampson distance that counts as agreement, as a fraction of the image width (3 px at 541)."""
 
 
 def refuse_identical_poses(poses: Sequence[Pose], names: Sequence[str], distance: float) -> None:
@@ -61,19 +71,63 @@ def refuse_duplicates(
             )
 
 
-def refuse_lonely_views(counts: Sequence[int], matches: Mapping[Pair, Matches], names: Sequence[str]) -> None:
-    """Refuse views whose pose too few matches carry: ``counts`` are the sightings of each that fit."""
-    for v, count in enumerate(counts):
-        if count >= MIN_VIEW_MATCHES:
+@dataclass(frozen=True)
+class Agreement:
+    """How far matches that no geometry guided agree with a solved one: per view, how many do in all of its pairs, of
+    how many, and the largest fraction in any pair.
+
+    The matches that a solution was made from cannot tell: within a gate, false ones are found for any geometry.
+    """
+
+    agreeing: list[int]
+    tried: list[int]
+    best: list[float]
+
+
+def measure_agreement(
+    structure: Structure, features: Sequence[Features], unguided: Mapping[Pair, Matches]
+) -> Agreement:
+    """Compare epipolar distances with a gate of `AGREE` of the image width."""
+    views = len(structure.poses)
+    agreeing, tried, best = [0] * views, [0] * views, [0.0] * views
+    cameras, poses = structure.cameras, structure.poses
+    for (i, j), pairs in unguided.items():
+        if not len(pairs):
             continue
-        tried = [len(m) for pair, m in matches.items() if v in pair]
+        fundamental = fundamental_matrix(cameras[i], poses[i], cameras[j], poses[j])
+        distance = sampson_distance(fundamental, features[i].xy[pairs[:, 0]], features[j].xy[pairs[:, 1]])
+        good = int((distance < AGREE * cameras[j].width).sum())
+        for v in (i, j):
+            agreeing[v] += good
+            tried[v] += len(pairs)
+            if len(pairs) >= MIN_VIEW_MATCHES:
+                best[v] = max(best[v], good / len(pairs))
+    return Agreement(agreeing, tried, best)
+
+
+def refuse_lonely_views(agreement: Agreement, names: Sequence[str]) -> None:
+    """Refuse views whose pose the images do not carry, or contradict."""
+    for v, name in enumerate(names):
+        if agreement.agreeing[v] >= MIN_VIEW_MATCHES and agreement.best[v] >= MIN_AGREEMENT:
+            continue
         raise GeometryRefused(
-            f"capture {names[v]}: only {count} of {sum(tried)} matches with its neighbours fit together, "
-            f"{MIN_VIEW_MATCHES} are needed",
+            f"capture {name}: only {agreement.agreeing[v]} of its {agreement.tried[v]} matches with other captures fit "
+            f"any pose ({MIN_VIEW_MATCHES} and {MIN_AGREEMENT:.0%} of a pair are needed)",
             code="too-few-matches",
-            remedy="give the scene more texture, turn in smaller steps (10-15°), leave the capture out with "
-            "--sources, or record its pose",
+            remedy="check its turntable_deg and that nothing moved; give the scene more texture or turn in smaller "
+            "steps (10-15°), or leave the capture out with --sources",
         )
+
+
+def warn_of_doubtful_poses(agreement: Agreement, names: Sequence[str], monitor: Monitor) -> None:
+    """Warn of poses that most matches contradict."""
+    for v, name in enumerate(names):
+        if agreement.tried[v] >= GOOD_ANCHORS and agreement.best[v] < DOUBTFUL_AGREEMENT:
+            monitor.warn(
+                "pose-doubtful",
+                f"capture {name}: only {agreement.best[v]:.0%} of its matches with any other capture fit its pose; "
+                "check it (texture that repeats may also be the reason)",
+            )
 
 
 def refuse_photo(count: int, name: str) -> None:

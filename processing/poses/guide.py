@@ -29,14 +29,14 @@ if TYPE_CHECKING:
 MIN_CONFIDENCE = 0.5
 MIN_JUDGES = 30
 MIN_INLIERS = 0.5
-TOLERANCE_SIGMAS = 6.0
-TOLERANCE_PX = 0.06
+TOLERANCE_SIGMAS = 3.0
+TOLERANCE_PX = 0.04
 """Half-width [px of disparity] of what counts as agreement, beyond the fit's own scatter."""
 
 OPTICS_TOLERANCE = 0.1
 """A line from recorded optics is off by this fraction of an inverse depth at most (three sigmas of each part)."""
 
-OPTICS_MISMATCH = 0.3
+OPTICS_MISMATCH = 0.2
 """A fitted line further than this from the recorded optics was fitted to false matches."""
 
 

@@ -15,22 +15,30 @@ from lfrig.processing.poses.arrangement import Arrangement
 from lfrig.processing.poses.features import Features
 from lfrig.processing.poses.guide import Guide
 from lfrig.processing.poses.matching import Matches, match_features
-from lfrig.processing.poses.priors import PhotoPrior, known_camera, prior_band_px, with_photo
-from lfrig.processing.poses.structure import Structure
+from lfrig.processing.poses.priors import PhotoPrior, known_camera, neighbours, prior_band_px, with_photo
+from lfrig.processing.poses.structure import COARSE_SCHEDULE_PX, Structure, match_again, refine, widened
 from lfrig.processing.poses.target import Located, locate_photo, support
+from lfrig.processing.poses.tracks import Pair, build_tracks
 
 ENOUGH_FEATURES = 100
 LOOSE_DEG = 30.0
+FIRST_BAND = 0.008
+"""Where coarse poses may still be off, as a fraction of a view's width (4 px at 541)."""
+
 SOLID_SUPPORT = 100
 """A pose near the expected one that so many unguided matches support needs no second look."""
 
 
 @dataclass(frozen=True)
 class Joined:
-    """The sources' structure with the photo as one more view, and how many of each source's matches with it agree."""
+    """The sources' structure with the photo as one more view, and the photo's unguided matches with each source.
+
+    ``settled`` tells that the views were adjusted together already.
+    """
 
     structure: Structure
-    agreeing: dict[int, int]
+    unguided: dict[Pair, Matches]
+    settled: bool = False
 
 
 def join_photo(
@@ -41,26 +49,36 @@ def join_photo(
     guide: Guide,
     monitor: Monitor,
 ) -> Joined:
-    """Locate the photo against solved sources, by matches near where it is expected and by unguided ones.
+    """Find the photo's place among solved sources.
+
+    By resection from their points; where there are none (one source, or sources far apart with the photo between
+    them) by adjusting all views together from the expected pose.
 
     Raises
     ------
     GeometryRefused
         ``photo-no-overlap``.
     """
-    own, theirs = features[-1], dict(enumerate(features[:-1]))
+    own, theirs, last = features[-1], dict(enumerate(features[:-1])), len(features) - 1
     camera = known_camera(target)
     matches = {v: match_features(f, own) for v, f in theirs.items()}
+    unguided = {(v, last): m for v, m in matches.items()}
     if known is not None and known.exact:
-        agreeing = support(coarse, theirs, own, matches, known.pose, camera)
-        _judge_given_photo(sum(agreeing.values()), coarse, own, target, monitor)
-        return Joined(_with_view(coarse, with_photo(coarse.arrangement, target, known)), agreeing)
-    located = locate_photo(coarse, theirs, own, matches, camera, None if known is None else known.pose)
-    solid = located is not None and located.support >= SOLID_SUPPORT
-    if known is not None and not (solid and located is not None and _near(located.pose, known)):
-        near = _expected_matches(coarse, features, with_photo(coarse.arrangement, target, known), guide)
-        other = locate_photo(coarse, theirs, own, near, camera, known.pose)
+        agreeing = sum(support(coarse, theirs, own, matches, known.pose, camera).values())
+        _judge_given_photo(agreeing, coarse, own, target, monitor)
+        return Joined(_with_view(coarse, with_photo(coarse.arrangement, target, known)), unguided)
+    located = locate_photo(coarse, theirs, own, matches, camera)
+    if known is not None and not (located is not None and _is_solid(located) and _near(located.pose, known)):
+        joined = _with_view(coarse, with_photo(coarse.arrangement, target, known))
+        near = _expected_matches(joined, coarse, features, guide)
+        other = locate_photo(coarse, theirs, own, near, camera)
         located = max((t for t in (located, other) if t is not None), key=lambda t: t.support, default=None)
+        if located is None or not _is_solid(located):
+            settled = _settle(joined, near, features, guide, monitor)
+            agreeing = sum(support(settled, theirs, own, matches, settled.poses[-1], settled.cameras[-1]).values())
+            if located is None or agreeing >= located.support:
+                gate.refuse_photo(agreeing, target.id)
+                return Joined(settled, unguided, True)
     gate.refuse_photo(0 if located is None else located.support, target.id)
     assert located is not None
     if known is None or not _near(located.pose, known):
@@ -73,16 +91,33 @@ def join_photo(
             )
         known = _nothing_known(located)
     joined = _with_view(coarse, with_photo(coarse.arrangement, target, known))
-    return Joined(_started_at(joined, located, camera), located.agreeing)
+    return Joined(_started_at(joined, located, camera), unguided)
+
+
+def _is_solid(located: Located) -> bool:
+    return located.support >= SOLID_SUPPORT
+
+
+def _settle(
+    joined: Structure, near: dict[int, Matches], features: Sequence[Features], guide: Guide, monitor: Monitor
+) -> Structure:
+    """All views adjusted together from the expected pose, by matches near where it expects them."""
+    last = len(features) - 1
+    arrangement, x = joined.arrangement, joined.parameters
+    matches: dict[Pair, Matches] = {(v, last): m for v, m in near.items()}
+    inner = [p for p in neighbours(joined.poses) if last not in p]
+    band = FIRST_BAND * joined.cameras[0].width
+    matches.update(match_again(joined, features, inner, guide, band))
+    seen = build_tracks(features, matches)
+    return refine(arrangement, x, seen, widened(guide), COARSE_SCHEDULE_PX, monitor)
 
 
 def _expected_matches(
-    coarse: Structure, features: Sequence[Features], joint: Arrangement, guide: Guide
+    joined: Structure, coarse: Structure, features: Sequence[Features], guide: Guide
 ) -> dict[int, Matches]:
     """Matches of each source with the photo near where the prior expects them."""
-    joined = _with_view(coarse, joint)
     last = len(features) - 1
-    bands = {(v, last): prior_band_px(joint, v, last) for v in range(last)}
+    bands = {(v, last): prior_band_px(joined.arrangement, v, last) for v in range(last)}
     found = guide.matches(joined.cameras, joined.poses, features, guide.intervals(features, coarse), bands)
     return {v: m for (v, _), m in found.items()}
 

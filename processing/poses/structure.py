@@ -21,6 +21,7 @@ from lfrig.processing.poses.triangulate import ray_angle_deg, reproject, triangu
 FINE_SCALE_PX = 2.0
 """Up to this keypoint scale SIFT's position error is constant; beyond, it grows in proportion (measured)."""
 
+COARSE_SCHEDULE_PX = (16.0, 4.0, 1.0)
 NOISE_BOUNDS_PX = (0.08, 1.0)
 REJECT_SIGMAS = 4.0
 MIN_RAY_ANGLE_DEG = 2.0
@@ -119,6 +120,11 @@ def refine(
         x, points, covariance = result.parameters, result.points, result.covariance
         monitor.advance(0)
     return Structure(arrangement, x, seen, points, noise, covariance)
+
+
+def widened(guide: Guide) -> tuple[float, float]:
+    """Depths that points may have while poses are still rough."""
+    return guide.depth_range[0] / 1.5, guide.depth_range[1] * 1.5
 
 
 def match_again(

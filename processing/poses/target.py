@@ -22,9 +22,6 @@ from lfrig.processing.poses.structure import Structure
 GATE = 0.006
 """Residual that a hypothesis may leave, as a fraction of the photo's width (3 px at 541)."""
 
-PRIOR_GATE = 0.08
-"""How far from where the prior expects it a point may appear, as a fraction of the photo's width."""
-
 MIN_RESECTION = 8
 MAX_HYPOTHESES = 3
 UNKNOWN_FOCAL_SIGMA = 0.2
@@ -80,22 +77,14 @@ def locate_photo(
     features: Features,
     matches: Mapping[int, Matches],
     camera: Camera,
-    expected: Pose | None,
 ) -> Located | None:
     """Best supported pose of the photo, or None when there is none.
 
-    ``expected`` (from the rig) becomes a hypothesis of its own, and one to refine with matches near it. A camera
-    whose focal length is unknown (a wide sigma) is tried at several.
+    A camera whose focal length is unknown (a wide sigma) is tried at several.
     """
     known = correspondences(structure, features, matches)
     candidates: list[tuple[Pose, Camera]] = []
     for trial in _cameras(camera):
-        if expected is not None:
-            candidates.append((expected, trial))
-            near = _subset(known, _residual(known, trial, expected) < PRIOR_GATE * camera.width)
-            found = _resect(near, trial)
-            if found is not None:
-                candidates.append((found[0], trial))
         rest = known
         for _ in range(MAX_HYPOTHESES):
             found = _resect(rest, trial)

@@ -14,7 +14,7 @@ from lfrig.processing.poses import gate
 from lfrig.processing.poses.arrangement import Arrangement
 from lfrig.processing.poses.features import Features
 from lfrig.processing.poses.guide import Guide
-from lfrig.processing.poses.join_photo import Joined, join_photo
+from lfrig.processing.poses.join_photo import FIRST_BAND, join_photo
 from lfrig.processing.poses.matching import Matches, match_features
 from lfrig.processing.poses.priors import (
     depth_limits,
@@ -25,15 +25,11 @@ from lfrig.processing.poses.priors import (
     recentred,
     turntable_arrangement,
 )
-from lfrig.processing.poses.structure import Structure, complete, match_again, refine
+from lfrig.processing.poses.structure import COARSE_SCHEDULE_PX, Structure, complete, match_again, refine, widened
 from lfrig.processing.poses.tracks import Pair, build_tracks
 
-COARSE_SCHEDULE_PX = (16.0, 4.0, 1.0)
 JOINT_SCHEDULE_PX = (4.0, 1.0)
-FIRST_BAND = 0.008
-"""Where the coarse poses may still be off, as a fraction of a view's width (4 px at 541)."""
-
-FLIP_GAIN = 3
+FLIP_GAIN = 2
 HIDDEN = 0.7
 """A right prior keeps nearly all true matches and finds more; keeping less than this fraction is suspicious."""
 
@@ -68,19 +64,17 @@ def solve_with_prior(
 
     coarse = _coarse(arrangement, features, unguided, guide, monitor)
     joined = join_photo(coarse, features, target, photo_prior(target, prior, origin), guide, monitor)
-    if kind != "given":
-        _refuse_unsupported(coarse, joined, features, unguided, guide, monitor)
     pairs = neighbours(joined.structure.poses)
     first = joined.structure
-    if is_free(first.arrangement):
+    if is_free(first.arrangement) and not joined.settled:
         band = FIRST_BAND * max(s.width for s in sources)
         seen = build_tracks(features, match_again(first, features, pairs, guide, band))
-        first = refine(first.arrangement, first.parameters, seen, _widened(guide), JOINT_SCHEDULE_PX, monitor)
+        first = refine(first.arrangement, first.parameters, seen, widened(guide), JOINT_SCHEDULE_PX, monitor)
     final = complete(first, features, pairs, guide, monitor)
+    agreement = gate.measure_agreement(final, features, {**unguided, **joined.unguided})
+    gate.warn_of_doubtful_poses(agreement, names, monitor)
     if kind != "given":
-        turns = np.rad2deg(final.parameters[final.arrangement.turns])[: len(sources)]
-        recorded = np.array([s.turntable_deg for s in sources])
-        gate.check_angles(turns, recorded, prior.turntable_sigma_deg, names, monitor)
+        _check_turntable(final, agreement, features, unguided, guide, prior.turntable_sigma_deg, monitor)
     if origin is None:
         return final
     return replace(final, arrangement=_moved(final.arrangement, -origin), points=final.points + origin)
@@ -121,7 +115,7 @@ def _from_matches(
 ) -> Structure:
     schedule = COARSE_SCHEDULE_PX if is_free(arrangement) else COARSE_SCHEDULE_PX[-1:]
     seen = build_tracks(features, matches)
-    return refine(arrangement, np.zeros(arrangement.size), seen, _widened(guide), schedule, monitor)
+    return refine(arrangement, np.zeros(arrangement.size), seen, widened(guide), schedule, monitor)
 
 
 def _hides(guided: Mapping[Pair, Matches], unguided: Mapping[Pair, Matches], views: int) -> bool:
@@ -134,37 +128,32 @@ def _hides(guided: Mapping[Pair, Matches], unguided: Mapping[Pair, Matches], vie
     return False
 
 
-def _refuse_unsupported(
-    coarse: Structure,
-    joined: Joined,
+def _check_turntable(
+    final: Structure,
+    agreement: gate.Agreement,
     features: Sequence[Features],
-    matches: Mapping[Pair, Matches],
+    unguided: Mapping[Pair, Matches],
     guide: Guide,
+    sigma_deg: float,
     monitor: Monitor,
 ) -> None:
-    """Refuse when unguided matches do not carry the turntable's poses; say so when the other direction would."""
-    count = len(guide.sources)
-    inner = coarse.seen.per_view(count)
-    supports = [int(inner[v]) + joined.agreeing.get(v, 0) for v in range(count)]
-    if min(supports) >= gate.MIN_VIEW_MATCHES:
-        return
-    flipped = replace(
-        coarse.arrangement,
-        views=tuple(replace(v, angle_deg=-v.angle_deg) for v in coarse.arrangement.views),
-    )
-    other = _from_matches(flipped, features[:-1], matches, guide, monitor)
-    if len(other.seen) > FLIP_GAIN * max(len(coarse.seen), gate.MIN_VIEW_MATCHES):
-        raise GeometryRefused(
-            "the turntable angles fit the images only with the opposite sign",
-            code="turntable-direction",
-            remedy="turntable_deg counts counter-clockwise seen from above: invert the recorded angles",
-        )
-    gate.refuse_lonely_views(supports, matches, [s.id for s in guide.sources])
-
-
-def _widened(guide: Guide) -> tuple[float, float]:
-    """Depths that points may have while poses are still rough."""
-    return guide.depth_range[0] / 1.5, guide.depth_range[1] * 1.5
+    """Refuse angles that the images contradict, and say so when the other direction would fit; warn of single ones."""
+    names = [s.id for s in guide.sources]
+    count = len(names)
+    views = final.arrangement.views[:count]
+    if min(agreement.best[:count]) < gate.MIN_AGREEMENT and unguided:
+        flipped = Arrangement(final.arrangement.mounts[:1], tuple(replace(v, angle_deg=-v.angle_deg) for v in views))
+        other = _from_matches(flipped, features[:-1], unguided, guide, monitor)
+        best = gate.measure_agreement(other, features[:-1], unguided).best
+        if min(best) > FLIP_GAIN * max(min(agreement.best[:count]), gate.MIN_AGREEMENT):
+            raise GeometryRefused(
+                "the turntable angles fit the images only with the opposite sign",
+                code="turntable-direction",
+                remedy="turntable_deg counts counter-clockwise seen from above: invert the recorded angles",
+            )
+    gate.refuse_lonely_views(agreement, names)
+    turns = np.rad2deg(final.parameters[final.arrangement.turns])[:count]
+    gate.check_angles(turns, np.array([v.angle_deg for v in views]), sigma_deg, names, monitor)
 
 
 def _moved(arrangement: Arrangement, origin: F64) -> Arrangement:

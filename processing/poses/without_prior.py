@@ -51,9 +51,9 @@ def solve_without_prior(
     first = refine(scaled, np.zeros(scaled.size), seen, limits, SCHEDULE_PX, monitor)
     poses = first.poses
     gate.refuse_identical_poses(poses[:-1], [s.id for s in sources], MEDIAN_DEPTH)
-    counts = [int(n) for n in first.seen.per_view(count)]
-    gate.refuse_photo(counts[-1], target.id)
-    gate.refuse_lonely_views(counts[:-1], matches, [s.id for s in sources])
+    agreement = gate.measure_agreement(first, features, matches)
+    gate.refuse_photo(agreement.agreeing[-1], target.id)
+    gate.refuse_lonely_views(agreement, [s.id for s in sources])
     return complete(first, features, neighbours(poses), Guide(sources, evidence, limits, False), monitor)
 
 
