@@ -96,6 +96,12 @@ def _header(light_field: LightField, depth_map: DepthMap) -> Html:
         "header",
         el("p", "lfrig · disparity of one light field", class_="eyebrow"),
         el("h1", light_field.id),
+        el(
+            "p",
+            "How far a point moves from one view to the next is its disparity: the nearer, the more. Found from "
+            f"{evidence.views_used or rows * cols} views of this light field alone.",
+            class_="summary",
+        ),
         sections.tiles(figures),
     )
 
