@@ -6,7 +6,7 @@ STAMP := $(VENV)/.installed
 NATIVE := $(wildcard processing/kernels/*.cpp sim/*.cpp sim/*.hpp native/lfrig/*.hpp)
 PYTEST_ARGS ?= -n 2
 
-.PHONY: install demo test lint bench wheel clean
+.PHONY: install demo pictures test lint bench wheel clean
 
 install: $(STAMP)
 
@@ -17,6 +17,9 @@ $(STAMP): pyproject.toml constraints.txt CMakeLists.txt $(NATIVE)
 
 demo: $(STAMP)
 	$(BIN)/lfrig demo --out demo --overwrite
+
+pictures: demo
+	$(BIN)/python docs/pictures/make.py demo/session/results/*
 
 test: $(STAMP)
 	$(BIN)/python -m pytest $(PYTEST_ARGS)
@@ -38,4 +41,4 @@ wheel: $(STAMP)
 	.ci/wheel-smoke dist/*.whl constraints.txt
 
 clean:
-	rm -rf $(VENV) build dist demo out
+	rm -rf $(VENV) build dist demo out .*_cache
