@@ -24,6 +24,7 @@ class TruthCapture(Model):
     pose: PoseSpec
     turntable_deg: Finite
     views: ViewsSpec | None = None
+    """The views without noise; None when the truth holds none (a light field recorded without noise is its own)."""
     noise_sigma: NonNegative = 0.0
     """Standard deviation of the noise on the recorded pixels [grey levels of 255]."""
 
