@@ -9,7 +9,6 @@ truth agrees with that to 4 digits. The "ground truth" written here is the estim
 from __future__ import annotations
 
 import math
-from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -84,7 +83,6 @@ def _meta(content: Content) -> dict[str, object]:
     meta: dict[str, object] = {
         "scene": content.name,
         "category": "lfrig",
-        "date": datetime.now(UTC).date().isoformat(),
         "depth_map_scale": 1.0,
     }
     if content.disparity is not None and np.isfinite(content.disparity).any():

@@ -199,11 +199,17 @@ def _turn(a: F64, b: F64, c: F64) -> float:
     return float((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
 
 
+def _round_length(span: float, metric: bool) -> str:
+    if not metric:
+        return f"{span:g} units"
+    return f"{100 * span:g} cm" if span < 1 else f"{span:g} m"
+
+
 def _scale_bar(scale: float, height: float, metric: bool) -> list[Html]:
     """A bar of a round length, at most a third of the panel."""
     span = words.nice_ticks(0.0, WIDTH / 3 / scale, 3)[-1]
     y, x = height - 14, 14.0
     return [
         el("line", x1=x, x2=x + span * scale, y1=y, y2=y, class_="scale-bar"),
-        el("text", words.length(span, metric=metric), x=x, y=y - 6),
+        el("text", _round_length(span, metric), x=x, y=y - 6),
     ]

@@ -25,7 +25,7 @@ ATLAS_SIDE = 16_383
 """The largest side that WebP has."""
 ATLAS_QUALITY = 80
 MAX_GAIN = 6.0
-LEAST_MOTION = 0.012
+LEAST_MOTION = 0.02
 """Of the picture's width: light fields whose nearest and farthest points move less against each other over the
 aperture start exaggerated, else nobody would see that they move at all."""
 HELP = (

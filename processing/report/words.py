@@ -10,9 +10,8 @@ import numpy as np
 POSES = {
     "given": "poses as given",
     "lf": "poses refined on the light fields",
-    "colmap": "poses from structure from motion",
-    "auto": "poses found automatically",
-    "turntable": "poses from the turntable",
+    "colmap-turntable": "poses from structure from motion that started at the turntable's angles",
+    "colmap": "poses from structure from motion alone",
 }
 _NUMBERS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
 

@@ -72,6 +72,10 @@ class TestWords:
         assert lengths == ["0.670 mm", "3.50 cm", "0.460 m"]
         assert words.length(0.46, metric=False) == "0.460 units"
 
+    def test_every_pose_method_has_words_and_a_new_one_its_name(self) -> None:
+        said = [words.poses(method) for method in ("given", "lf", "colmap", "colmap-turntable", "stars")]
+        assert len(set(said)) == 5 and said[-1] == "poses: stars"
+
     def test_durations_and_sizes(self) -> None:
         assert [words.seconds(s) for s in (0.0123, 1.26, 119.6, 600)] == ["12 ms", "1.3 s", "2 min 00 s", "10 min 00 s"]
         assert [words.memory(mb) for mb in (512.3, 1530)] == ["512 MB", "1.5 GB"]
