@@ -135,6 +135,8 @@ def snap_to_edges(inverse_depth: F32, photo: U8, px_per_inverse: float, settings
     if hi - lo <= 0:
         return inverse_depth
     coded = np.uint8(np.clip((inverse_depth - lo) / (hi - lo) * 255 + 0.5, 0, 255))
+    # The filter clusters colours with OpenCV's global random state: the same seed gives the same bytes.
+    cv2.setRNGSeed(0)
     median = cv2.ximgproc.weightedMedianFilter(
         np.ascontiguousarray(photo), coded, settings.snap_radius, settings.snap_sigma_grey
     )
