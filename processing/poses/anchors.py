@@ -67,15 +67,18 @@ def contradicted(xy: F64, depth: F64, evidence: Evidence) -> NDArray[np.bool_]:
 def metric_scale(
     anchors: Sequence[Anchors], sources: Sequence[LightField], evidence: Sequence[Evidence]
 ) -> float | None:
-    """Metres per gauge unit, from the slopes of the sources whose baseline is recorded; None when none tells.
+    """Metres per gauge unit from recorded baselines and focus distances; None when none is recorded.
 
-    ``1/z = a δ + c`` with a = 1/(bF) in metres; the median of the sources' ratios.
+    ``1/z = a δ + c`` with a = 1/(bF) and c = 1/z_f in metres: the median of what each of them says.
     """
     ratios = []
     for own, source, seen in zip(anchors, sources, evidence, strict=True):
-        if source.optics.baseline_m is None or source.camera is None:
-            continue
         line = scale_line(own.xy, own.depth_m, seen)
-        if line is not None:
-            ratios.append(line.a * source.optics.baseline_m * source.camera.focal_px)
+        if line is None:
+            continue
+        baseline, focus = source.optics.baseline_m, source.optics.focus_distance_m
+        if baseline is not None and source.camera is not None:
+            ratios.append(line.a * baseline * source.camera.focal_px)
+        if focus is not None and line.c > 0:
+            ratios.append(line.c * focus)
     return float(np.median(ratios)) if ratios else None

@@ -18,8 +18,8 @@ from lfrig.processing.model import F64, Camera, Pose
 LOCAL = 7
 """Parameters that a residual of one view sees: rotation (3) and translation (3) applied on the left, log focal."""
 
-TURN_BREAK = 4.0
-"""Beyond this many sigmas a turntable angle counts as a blunder and loses its pull (Cauchy)."""
+BLUNDER = 4.0
+"""Beyond this many sigmas a turntable angle or a focal length counts as a blunder and loses its pull (Cauchy)."""
 
 
 @dataclass(frozen=True)
@@ -76,19 +76,19 @@ class Arrangement:
         return sigma
 
     def precision(self, x: F64, sigma: F64) -> F64:
-        """1/σ² of the prior on every free parameter at x [n]; a turn far outside its sigma pulls less."""
+        """1/σ² of the prior on every free parameter at x [n]; a blunder pulls less."""
         weight = 1 / sigma**2
-        turns = self.turns
-        weight[turns] /= 1 + (x[turns] / (TURN_BREAK * sigma[turns])) ** 2
+        for part in (self.turns, self.log_focals):
+            weight[part] /= 1 + (x[part] / (BLUNDER * sigma[part])) ** 2
         return weight
 
     def prior_cost(self, x: F64, sigma: F64) -> float:
-        """What the parameters' distance from the prior costs, in units of half-squared sigmas times two."""
+        """What the parameters' distance from the prior costs, in squared sigmas."""
         free = sigma > 0
         squared = np.zeros(len(x))
         squared[free] = (x[free] / sigma[free]) ** 2
-        turns = self.turns
-        squared[turns] = TURN_BREAK**2 * np.log1p(squared[turns] / TURN_BREAK**2)
+        for part in (self.turns, self.log_focals):
+            squared[part] = BLUNDER**2 * np.log1p(squared[part] / BLUNDER**2)
         return float(squared.sum())
 
     def poses(self, x: F64) -> tuple[Pose, ...]:

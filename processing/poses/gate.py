@@ -24,7 +24,7 @@ STILL_PX = 0.3
 STILL_FRACTION = 0.8
 ENOUGH_MATCHES = 20
 GOOD_ANCHORS = 60
-WIDE_STEP_DEG = 20.5
+WIDE_STEP_DEG = 22.5
 ANGLE_SIGMAS = 4.0
 FOCAL_SIGMAS = 4.0
 MIN_PHOTO_MATCHES = 12
@@ -34,6 +34,9 @@ MIN_AGREEMENT = 0.2
 that repeats exactly 0.24 to 0.6."""
 
 DOUBTFUL_AGREEMENT = 0.35
+MIN_AGREEMENT_ALONE = 0.5
+"""Without a prior the poses come from these matches, so more must agree (right: above 0.68, wrong: below 0.5)."""
+
 AGREE = 0.006
 """Sampson distance that counts as agreement, as a fraction of the image width (3 px at 541)."""
 
@@ -117,6 +120,18 @@ def refuse_lonely_views(agreement: Agreement, names: Sequence[str]) -> None:
             remedy="check its turntable_deg and that nothing moved; give the scene more texture or turn in smaller "
             "steps (10-15°), or leave the capture out with --sources",
         )
+
+
+def refuse_unstable_views(agreement: Agreement, names: Sequence[str]) -> None:
+    """Refuse poses found without a prior that a good part of their own matches contradicts."""
+    for v, name in enumerate(names):
+        if agreement.best[v] < MIN_AGREEMENT_ALONE:
+            raise GeometryRefused(
+                f"capture {name}: only {agreement.best[v]:.0%} of its matches with any other capture fit one geometry, "
+                f"{MIN_AGREEMENT_ALONE:.0%} are needed when nothing is known of the rig",
+                code="unstable-poses",
+                remedy="record the turntable's angles and mount, or poses; texture that repeats misleads without them",
+            )
 
 
 def warn_of_doubtful_poses(agreement: Agreement, names: Sequence[str], monitor: Monitor) -> None:

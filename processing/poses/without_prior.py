@@ -19,6 +19,7 @@ from lfrig.processing.poses.matching import Matches, match_features
 from lfrig.processing.poses.priors import known_camera, neighbours
 from lfrig.processing.poses.structure import Structure, complete, refine
 from lfrig.processing.poses.tracks import Pair, build_tracks
+from lfrig.processing.poses.triangulate import reproject, triangulate
 
 SCHEDULE_PX = (8.0, 2.0, 1.0)
 LOOSE_DEG = 10.0
@@ -54,6 +55,7 @@ def solve_without_prior(
     agreement = gate.measure_agreement(first, features, matches)
     gate.refuse_photo(agreement.agreeing[-1], target.id)
     gate.refuse_lonely_views(agreement, [s.id for s in sources])
+    gate.refuse_unstable_views(agreement, [s.id for s in sources])
     return complete(first, features, neighbours(poses), Guide(sources, evidence, limits, False), monitor)
 
 
@@ -96,8 +98,6 @@ def _loose_arrangement(mapped: Mapped, recorded: Sequence[Camera]) -> Arrangemen
 
 def _in_gauge(arrangement: Arrangement, features: Sequence[Features], matches: dict[Pair, Matches]) -> Arrangement:
     """The arrangement scaled so that the first view's median point lies at `MEDIAN_DEPTH`."""
-    from lfrig.processing.poses.triangulate import reproject, triangulate
-
     seen = build_tracks(features, matches)
     zero = np.zeros(arrangement.size)
     cameras, poses = arrangement.cameras(zero), arrangement.poses(zero)

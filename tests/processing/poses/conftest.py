@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
+
 from lfrig.processing import geometry
 from lfrig.processing.model import Camera, Evidence, LightField, Optics, Photo, Pose, RigPrior
 
@@ -45,18 +48,28 @@ def box(centre: tuple[float, float], size: tuple[float, float, float], yaw_deg: 
     return [Rectangle(*f, texture(seed * 10 + i)) for i, f in enumerate(faces)]
 
 
-def still_life(seed: int = 0) -> list[Rectangle]:
+@functools.cache
+def still_life(seed: int = 0) -> tuple[Rectangle, ...]:
     """Three boxes on a textured plate."""
     plate = Rectangle(np.array([-0.2, -0.2, 0]), np.array([0.4, 0, 0]), np.array([0, 0.4, 0]), texture(seed + 7, 512))
-    return [
+    return (
         plate,
         *box((0.03, -0.02), (0.06, 0.05, 0.08), 20, seed + 1),
         *box((-0.05, 0.02), (0.05, 0.05, 0.05), -35, seed + 2),
         *box((0.0, 0.08), (0.12, 0.03, 0.11), 5, seed + 3),
-    ]
+    )
 
 
-def render(scene: list[Rectangle], camera: Camera, pose: Pose, samples: int = 2) -> tuple[np.ndarray, np.ndarray]:
+@functools.cache
+def picture(scene_seed: int, camera: Camera, target: bool, angle_deg: float) -> tuple[np.ndarray, np.ndarray, Pose]:
+    """What one of the two cameras sees with the plate at an angle: image, depth and the true pose; rendered once."""
+    pose = geometry.turntable_pose(mount(29.0, 0.5, 0.035) if target else mount(), angle_deg)
+    return *render(still_life(scene_seed), camera, pose), pose
+
+
+def render(
+    scene: Sequence[Rectangle], camera: Camera, pose: Pose, samples: int = 2
+) -> tuple[np.ndarray, np.ndarray]:
     """Image uint8 [H, W, 3] and depth float64 [H, W] along the optical axis (inf where nothing is hit)."""
     import cv2
 
@@ -136,7 +149,7 @@ def shoot(
     width: int = 240,
     height: int = 168,
     seed: int = 0,
-    scene: list[Rectangle] | None = None,
+    scene: int = 0,
     noise: float = 1.0,
     sigma_angle_deg: float = 0.3,
     sigma_mount_deg: float = 1.0,
@@ -146,14 +159,12 @@ def shoot(
 ) -> Shoot:
     """Shoot the scene at the plate angles; the priors are off by draws from their sigmas."""
     rng = np.random.default_rng(seed)
-    scene = still_life() if scene is None else scene
     scale = width / 541
     lf_mount, photo_mount = mount(), mount(29.0, 0.5, 0.035)
     sources, evidence, poses, cameras, depths = [], [], [], [], []
     for k, angle in enumerate(angles_deg):
         camera = Camera.centred(width, height, 1045 * scale * (1 + 0.04 * (k % 2)))
-        pose = geometry.turntable_pose(lf_mount, angle)
-        image, depth = render(scene, camera, pose)
+        image, depth, pose = picture(scene, camera, False, angle)
         image = np.clip(image * (1 - 0.08 * (k % 3)) + rng.normal(0, noise, image.shape), 0, 255).astype(np.uint8)
         poses.append(pose), cameras.append(camera), depths.append(depth)
         said = replace(camera, focal_px=camera.focal_px * (1 + rng.normal(0, 1) * sigma_focal), sigma_focal=sigma_focal)
@@ -169,8 +180,7 @@ def shoot(
         )
         evidence.append(evidence_of(depth, rng))
     camera = Camera.centred(round(width * 1.1), round(height * 1.05), 1160 * scale)
-    pose = geometry.turntable_pose(photo_mount, target_deg)
-    image, depth = render(scene, camera, pose)
+    image, depth, pose = picture(scene, camera, True, target_deg)
     image = np.clip(image * 0.8 + 12 + rng.normal(0, noise, image.shape), 0, 255).astype(np.uint8)
     said = replace(camera, focal_px=camera.focal_px * (1 + rng.normal(0, 1) * sigma_focal), sigma_focal=sigma_focal)
     target = Photo("photo", image, said, pose if given else None, None if given else target_deg)
