@@ -67,9 +67,7 @@ def picture(scene_seed: int, camera: Camera, target: bool, angle_deg: float) -> 
     return *render(still_life(scene_seed), camera, pose), pose
 
 
-def render(
-    scene: Sequence[Rectangle], camera: Camera, pose: Pose, samples: int = 2
-) -> tuple[np.ndarray, np.ndarray]:
+def render(scene: Sequence[Rectangle], camera: Camera, pose: Pose, samples: int = 2) -> tuple[np.ndarray, np.ndarray]:
     """Image uint8 [H, W, 3] and depth float64 [H, W] along the optical axis (inf where nothing is hit)."""
     import cv2
 

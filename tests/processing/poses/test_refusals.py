@@ -130,7 +130,7 @@ def test_a_wrong_focal_length_is_reported(studio):
 
 
 def test_given_without_a_pose_names_the_capture(still):
-    with pytest.raises(BadInput, match="000.*pose"):
+    with pytest.raises(BadInput, match=r"000.*pose"):
         solve(still, "given")
 
 

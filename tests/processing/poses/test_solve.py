@@ -97,7 +97,9 @@ def test_given_poses_are_kept_and_used(studio):
     solution = solve(shoot)
     assert solution.method == "given" and solution.metric
     assert solution.angle_residual_deg == (None, None, None)
-    for pose, true in zip((*solution.poses, solution.target_pose), (*shoot.true_poses, shoot.true_target_pose), strict=True):
+    for pose, true in zip(
+        (*solution.poses, solution.target_pose), (*shoot.true_poses, shoot.true_target_pose), strict=True
+    ):
         np.testing.assert_array_equal(pose.rotation, true.rotation)
         np.testing.assert_allclose(pose.translation, true.translation, atol=1e-12)
     scale = check_accuracy(solution, shoot, rotation_deg=1e-6, depth=0.003, target_px=0.3)
