@@ -24,7 +24,7 @@ from lfrig.bench.accuracy_table import (
     stage_rows,
     tables,
 )
-from lfrig.bench.cases import FAR_DEG, FULL, NEAR_DEG, Case, scene_names, shoot_case
+from lfrig.bench.cases import FAR_DEG, FULL, NEAR_DEG, TARGET_DEG, Case, scene_names, shoot_case
 from lfrig.bench.document import write
 from lfrig.bench.measure import Cost, Muted, in_fresh_process
 from lfrig.bench.stages import Stage, stage_table
@@ -237,8 +237,9 @@ def _conditions(
     bf = next((row["bf_px_m"] for row in scenes if "bf_px_m" in row), float("nan"))
     return (
         f"{len(names)} scenes of the {half} half ({', '.join(names)}), light-field views of {size[0]}×{size[1]} px, "
-        f"errors in px per view step at bF = {bf:.3f} px·m, noise σ {noise_sigma:g}. Two sources stand at "
-        f"{NEAR_DEG[0]:g}° and {NEAR_DEG[1]:+g}° from the target, four also at {FAR_DEG[0]:g}° and {FAR_DEG[1]:+g}°; "
+        f"errors in px per view step at bF = {bf:.3f} px·m, noise σ {noise_sigma:g}. Two sources stand "
+        f"{NEAR_DEG[0] - TARGET_DEG:+g}° and {NEAR_DEG[1] - TARGET_DEG:+g}° from the target, four also "
+        f"{FAR_DEG[0] - TARGET_DEG:+g}° and {FAR_DEG[1] - TARGET_DEG:+g}°; "
         "every capture has its own zoom, focus, exposure and white balance. 15 px at the border are not scored. CPU "
         "s is user + system time of the whole process; every row counts the disparity evidence, which is computed "
         "once per scene; rows with a peak memory were run whole in a process of their own."

@@ -24,12 +24,14 @@ if TYPE_CHECKING:
 
 FULL, MEDIUM, SMALL = (541, 376), (270, 188), (135, 94)
 
-TARGET_DEG = 0.0
-NEAR_DEG = (-15.0, 20.0)
-"""Two sources, one on each side of the target, at both ends of the usual step of 15–20°."""
+TARGET_DEG = 25.0
+"""Plate angle of the photo: the scenes are composed for 0–60°."""
 
-FAR_DEG = (-35.0, 40.0)
-"""Two more, one usual step further out."""
+NEAR_DEG = (10.0, 45.0)
+"""Two sources, 15° to one side of the target and 20° to the other: both ends of the usual step."""
+
+FAR_DEG = (0.0, 60.0)
+"""Two more, one step further out."""
 
 
 @dataclass(frozen=True, eq=False)

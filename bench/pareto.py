@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from lfrig.bench import peers, plots
+from lfrig.bench import cotton, peers, plots
 from lfrig.bench.accuracy_table import COSTS, SCORES, mean_fields, score_fields
 from lfrig.bench.cases import FULL, Case, scene_names, shoot_case
 from lfrig.bench.document import Column, Table, write
@@ -113,6 +113,7 @@ def run(
     scenes: Sequence[str] | None = None,
     size: tuple[int, int] = FULL,
     runs: int = 1,
+    hci: Path | None = None,
     cache_dir: Path | None = None,
 ) -> BenchDocument:
     """Run the benchmark; writes pareto.json, pareto.md and a plot into ``out``.
@@ -123,6 +124,9 @@ def run(
         As for `accuracy.run`.
     runs : int
         Times each case is run; costs are medians. Each run of our preset has a process of its own.
+    hci : Path, optional
+        A scene of the HCI benchmark with its truth, for `lfrig depth` against StereoSGBM; by default *cotton* beside
+        the checkout, where it is there.
     """
     monitor = monitor or Monitor()
     names = scene_names(half, scenes)
@@ -134,20 +138,29 @@ def run(
             ).with_sources(2)
             rows += _run_case(case, runs, threads, monitor)
     means = mean_rows(rows)
+    folder = cotton.find(hci)
+    alone: list[dict[str, Any]] = []
+    alone_tables: list[Table] = []
+    alone_checks: list[Check] = []
+    if folder is not None:
+        alone, table, alone_checks = cotton.run(folder, threads=threads, monitor=monitor)
+        alone_tables = [table]
     by_method = {row["method"]: row for row in means if "mse" in row}
     points = {row["method"]: (row["cpu_s"], row["mse"]) for row in means if "mse" in row}
     series = {"preset fast": [points[name] for name in map(_our_name, RESOLUTIONS) if name in points]}
     series |= {name: [points[name]] for name in PEERS if name in points}
     plots.front(out / PICTURE, series, title="error against time", x="CPU s (user + system)", y="MSE px²")
     bf = next((row["bf_px_m"] for row in rows if "bf_px_m" in row), float("nan"))
+    columns = (Column("method", "method"), *SCORES, Column("cpu_ratio", "CPU / ours", ".2f"), *COSTS,
+               Column("refused", "refused"))  # fmt: skip
+    checks = _checks(by_method) if size == FULL and scenes is None else []
     return write(
-        out, "pareto", rows=[*means, *rows], checks=_checks(by_method) if size == FULL and scenes is None else [],
-        tables=[Table("Means", means, (Column("method", "method"), *SCORES, Column("cpu_ratio", "CPU / ours", ".2f"),
-                                       *COSTS, Column("refused", "refused")))],
+        out, "pareto", rows=[*means, *rows, *alone], checks=[*checks, *alone_checks],
+        tables=[Table("Means", means, columns), *alone_tables],
         text=(
             f"{len(names)} scenes of the {half} half ({', '.join(names)}), views of {size[0]}×{size[1]} px, two "
             f"sources, poses given, bF = {bf:.3f} px·m. CPU s is user + system time; {runs} run(s) per case; "
-            "peak memory only for our preset, which runs in a process of its own."
+            "peak memory only for what runs in a process of its own."
         ),
         pictures=[PICTURE],
     )  # fmt: skip

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lfrig.bench import accuracy, pareto
+from lfrig.bench import accuracy
 from lfrig.bench.accuracy_table import BOUNDS, SETUPS, SHIPPED, Setup, acceptance, mean_fields, stage_rows, tables
 from lfrig.bench.cases import NEAR_DEG, scene_names, shoot_case
 from lfrig.bench.document import markdown_table
@@ -91,18 +91,6 @@ def test_tables_show_stages_and_scenes() -> None:
     assert [row["scene"] for row in each.rows] == ["desk"]
 
 
-def test_pareto_means_are_relative_to_our_preset() -> None:
-    rows = [
-        {"method": "preset fast", "scene": "a", "mse": 1.0, "cpu_s": 4.0},
-        {"method": "preset fast", "scene": "b", "mse": 3.0, "cpu_s": 6.0},
-        {"method": "peer", "scene": "a", "mse": 5.0, "cpu_s": 1.0},
-        {"method": "peer", "scene": "b", "refused": "no-overlap"},
-    ]
-    ours, peer = pareto.mean_rows(rows)
-    assert ours["mse"] == 2 and ours["cpu_ratio"] == 1
-    assert peer["cpu_ratio"] == 0.2 and peer["refused"] == ["b"]
-
-
 def test_pixels_do_not_depend_on_what_is_known_of_the_poses(tmp_path: Path) -> None:
     given, prior = (
         shoot_case("tabletop", (48, 32), poses=poses, angles_deg=NEAR_DEG, cache_dir=tmp_path, truth_views=False)
@@ -132,15 +120,6 @@ def test_the_accuracy_benchmark_end_to_end(tmp_path: Path) -> None:
     assert means[0]["bf_px_m"] == pytest.approx(0.70 * TINY[0] / 541, rel=0.1)
     for name in ("accuracy.md", accuracy.STAGES_PICTURE, accuracy.WORST_PICTURE):
         assert (tmp_path / "out" / name).stat().st_size > 500
-
-
-@pytest.mark.slow
-def test_the_pareto_benchmark_end_to_end(tmp_path: Path) -> None:
-    document = pareto.run(tmp_path / "out", half="tuning", scenes=["tabletop"], size=TINY, cache_dir=tmp_path / "cache")
-    means = {row["method"]: row for row in document.rows if row.get("kind") == "mean"}
-    assert set(pareto.PEERS) <= set(means) and len(means) == len(pareto.PEERS) + len(pareto.RESOLUTIONS)
-    assert means["preset fast"]["peak_rss_mb"] > 50
-    assert (tmp_path / "out" / pareto.PICTURE).stat().st_size > 500
 
 
 def test_a_setup_is_named_by_what_it_has() -> None:
