@@ -112,31 +112,30 @@ def test_exact_sightings_recover_exact_geometry(studio, points):
     assert np.abs(residual).max() < 1e-3
 
 
-def test_noise_and_outliers(studio, points):
+def test_outliers_hardly_matter(studio, points):
     arrangement = turntable(studio)
     truth = np.random.default_rng(5).normal(0, 1, arrangement.size) * arrangement.sigmas()
-    seen = observed(arrangement.cameras(truth), arrangement.poses(truth), points, noise=0.2)
+    seen = observed(arrangement.cameras(truth), arrangement.poses(truth), points, noise=0.1)
+    block = Reprojection(seen, np.full(len(seen), 0.1))
+    clean = adjust(arrangement, np.zeros(arrangement.size), points, [block])
     seen.xy[::11] += 25.0
-    result = adjust(arrangement, np.zeros(arrangement.size), points, [Reprojection(seen, np.full(len(seen), 0.2))])
-    found, true = arrangement.poses(result.parameters), arrangement.poses(truth)
-    for a, b in zip(found, true, strict=True):
-        assert geometry.rotation_angle_deg(a.rotation @ found[0].rotation.T, b.rotation @ true[0].rotation.T) < 0.25
-    focal = [c.focal_px for c in arrangement.cameras(result.parameters)]
-    np.testing.assert_allclose(focal, [c.focal_px for c in arrangement.cameras(truth)], rtol=0.01)
+    spoilt = adjust(arrangement, np.zeros(arrangement.size), points, [block])
+    deviation = np.sqrt(np.diag(clean.covariance))
+    assert (np.abs(spoilt.parameters - clean.parameters) < 2 * deviation).all()
 
 
-def test_covariance_matches_the_scatter_of_solutions(studio, points):
+def test_covariance_tells_how_far_off_the_parameters_are(studio, points):
     arrangement = turntable(studio)
-    zero = np.zeros(arrangement.size)
-    turns = []
-    for seed in range(12):
-        seen = observed(arrangement.cameras(zero), arrangement.poses(zero), points[:60], noise=0.3, seed=seed)
-        result = adjust(arrangement, zero, points[:60], [Reprojection(seen, np.full(len(seen), 0.3))])
-        turns.append(result.parameters[arrangement.turns])
-    expected = np.sqrt(np.diag(result.covariance)[arrangement.turns])
-    # The prior's share of the covariance does not scatter here, so the estimate bounds it from above.
-    assert (np.std(turns, axis=0) < 1.3 * expected).all()
-    assert (np.std(turns, axis=0) > 0.02 * expected).all()
+    ratios = []
+    for seed in range(8):
+        truth = np.random.default_rng(seed).normal(0, 1, arrangement.size) * arrangement.sigmas()
+        seen = observed(arrangement.cameras(truth), arrangement.poses(truth), points[:80], noise=0.3, seed=seed)
+        block = Reprojection(seen, np.full(len(seen), 0.3))
+        result = adjust(arrangement, np.zeros(arrangement.size), points[:80], [block])
+        error = result.parameters - truth
+        ratios.append(error @ np.linalg.solve(result.covariance, error) / arrangement.size)
+    # Expected 1; the Cauchy weights of honest noise make the covariance a little too wide.
+    assert 0.6 < np.mean(ratios) < 1.3
 
 
 def test_a_held_parameter_does_not_move(studio, points):
