@@ -42,8 +42,8 @@ def test_one_light_field_alone_against_the_peer(hci: Path) -> None:
     assert (ours["method"], peer["method"]) == (cotton.OURS, cotton.SGBM)
     # Two textured planes: nothing but their edges may be wrong.
     assert ours["badpix_007"] < 15
-    # With one view to each side, the peer's preference for whole sixteenths of pixels is all there is to see.
-    assert ours["mse"] < peer["mse"] < 0.1
+    # With one view to each side the peer locks to half pixels: bad by the thresholds, yet on the right surface.
+    assert ours["badpix_007"] < peer["badpix_007"] and peer["mse"] < 0.1
     assert ours["mse_x100"] == pytest.approx(100 * ours["mse"]) and ours["peak_rss_mb"] > 50
     assert [check.value for check in checks] == [ours["badpix_007"]]
     assert [row["method"] for row in table.rows] == [cotton.OURS, cotton.SGBM]
