@@ -80,7 +80,10 @@ def test_a_photo_that_looks_elsewhere(session: Path, refused: Refused) -> None:
 
 def test_a_photo_of_something_else(session: Path, refused: Refused, edit_json) -> None:
     noise = np.random.default_rng(0).integers(0, 256, (16, 24, 3), np.uint8)
-    Image.fromarray(noise).resize((96, 64)).save(session / "captures" / "002" / "photo.png")
+    path = session / "captures" / "002" / "photo.png"
+    with Image.open(path) as photo:
+        size = photo.size
+    Image.fromarray(noise).resize(size).save(path)
     edit_json(document(session, "002"), pose=None, turntable_deg=None)
     edit_json(session / "session.json", rig=None)
     assert "002" in refused(session, GEOMETRY)
