@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from lfrig.processing.model import F32, F64, U8
 
 MAX_FEATURES = 2000
-CONTRAST_THRESHOLD = 0.012
+CONTRAST_THRESHOLD = 0.004
 DESCRIPTOR_LENGTH = 512
 
 
