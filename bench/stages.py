@@ -17,10 +17,15 @@ class Stage:
 
 
 def stage_table() -> tuple[Stage, ...]:
-    """All steps in order, each the one before with one thing changed for the better."""
+    """All steps in order, each with one thing changed."""
     shipped = Settings()
-    filled = replace(shipped, refine=replace(shipped.refine, snap=False))
-    regularised = replace(filled, refine=replace(filled.refine, far_side_fill=False))
+    regularised = replace(
+        shipped,
+        refine=replace(shipped.refine, snap=False, far_side_fill=False),
+        edges=replace(shipped.edges, enabled=False),
+    )
+    filled = replace(regularised, refine=replace(regularised.refine, far_side_fill=True))
+    tested = replace(regularised, edges=shipped.edges)
     surface = replace(
         regularised,
         regularise=replace(regularised.regularise, method="none"),
@@ -41,5 +46,6 @@ def stage_table() -> tuple[Stage, ...]:
         Stage("first-surface", "+ first-surface rule", surface),
         Stage("sgm", "C: + SGM on the fused volume, plane fit", regularised),
         Stage("fill", "C′: + far-side fill", filled),
+        Stage("edges", "C + edge test in the photo's colours, without the fill", tested),
         Stage("snap", "preset fast: + snap to the photo's edges", shipped),
     )

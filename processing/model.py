@@ -155,7 +155,9 @@ class Photo:
     @property
     def image8(self) -> U8:
         """The photo as uint8 [H, W, 3], what matching and synthesis see."""
-        return self.image.astype(np.uint8, copy=False) if self.image.itemsize == 1 else (self.image >> 8).astype(np.uint8)
+        return (
+            self.image.astype(np.uint8, copy=False) if self.image.itemsize == 1 else (self.image >> 8).astype(np.uint8)
+        )
 
 
 @dataclass(frozen=True)

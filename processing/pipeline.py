@@ -19,6 +19,7 @@ from lfrig.contracts.progress import Monitor, Notice
 from lfrig.contracts.result import StageReport
 from lfrig.processing import confidence as confidence_model
 from lfrig.processing.dpv import DpvSettings, auto_range, light_field_evidence
+from lfrig.processing.edges import EdgeSettings, decide_edges
 from lfrig.processing.fusion import FusionSettings, fuse, inverse_depth_range
 from lfrig.processing.model import (
     F32,
@@ -55,6 +56,7 @@ class Settings:
     fusion: FusionSettings = field(default_factory=FusionSettings)
     regularise: RegulariseSettings = field(default_factory=RegulariseSettings)
     refine: RefineSettings = field(default_factory=RefineSettings)
+    edges: EdgeSettings = field(default_factory=EdgeSettings)
     synthesis: SynthesisSettings = field(default_factory=SynthesisSettings)
 
 
@@ -166,9 +168,9 @@ def process(
         note.done(inverse_depth.size, "pixels")
     del volume
     with clock.stage("refine", None) as note:
-        surface, filled = _refine(inverse_depth, peak, ready, photo, camera, pose, request, limits, settings)
-        note.done(filled, "pixels")
-        note.skipped(inverse_depth.size - filled, "pixels")
+        surface, moved = _refine(inverse_depth, peak, ready, photo, camera, pose, request, limits, settings)
+        note.done(moved, "pixels moved")
+        note.skipped(inverse_depth.size - moved, "pixels moved")
     with clock.stage("synthesis", options.rows * options.cols) as note:
         full_camera = camera
         if options.resolution != 1.0:
@@ -287,22 +289,29 @@ def _refine(
     limits: tuple[float, float],
     settings: Settings,
 ) -> tuple[Surface, int]:
-    """Refine the surface; also the number of pixels that had to be filled."""
+    """Refine the surface; also the number of pixels that were filled or changed sides."""
     knobs, image = settings.refine, photo.image8
     px = request.baseline_m * camera.focal_px
     if knobs.smooth:
         inverse_depth = smooth(inverse_depth, peak, image, px, knobs)
     agreeing, in_view = support(inverse_depth, ready, camera, pose, knobs)
-    raw = peak**2 * np.minimum(agreeing, 1)
-    unseen = (agreeing == 0) | ((raw < knobs.low_confidence) & (peak < knobs.low_peak))
+    moved = 0
     if knobs.far_side_fill:
+        raw = peak**2 * np.minimum(agreeing, 1)
         # Beyond every source's frame there is nothing behind which something could hide: the regularised value stays.
-        inverse_depth = fill_unseen(inverse_depth, raw, unseen & in_view, image, px, limits, knobs)
+        unseen = in_view & ((agreeing == 0) | ((raw < knobs.low_confidence) & (peak < knobs.low_peak)))
+        inverse_depth = fill_unseen(inverse_depth, raw, unseen, image, px, limits, knobs)
+        moved += int(unseen.sum())
+    if settings.edges.enabled:
+        inverse_depth, changed = decide_edges(inverse_depth, ready, camera, pose, image, px, settings.edges)
+        moved += changed
     if knobs.snap:
         inverse_depth = snap_to_edges(inverse_depth, image, px, knobs)
+    if moved or knobs.snap:
+        agreeing, in_view = support(inverse_depth, ready, camera, pose, knobs)
     probability, sigma_px = confidence_model.calibrate(inverse_depth * np.float32(px), peak, agreeing, in_view)
     surface = Surface(inverse_depth, probability, np.asarray(sigma_px / px, np.float32), agreeing)
-    return surface, int(unseen.sum())
+    return surface, moved
 
 
 def _resize_surface(surface: Surface, width: int, height: int) -> Surface:

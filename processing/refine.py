@@ -1,8 +1,8 @@
 """Surface → better surface: support by the sources, unseen areas from the far side, a snap to the photo's edges.
 
 The wide-baseline refinement (slanted bilateral ZNCC of the photo against the sources' centre views, in a narrow band
-around this surface) takes its place between `support` and `fill_unseen`; it needs what they share: the surface, its
-slopes, and which source sees what.
+around this surface) takes its place between `smooth` and `edges.decide_edges`; it needs what they share: the surface,
+its slopes, and which source sees what.
 """
 
 from __future__ import annotations
@@ -25,7 +25,9 @@ class RefineSettings:
     smooth_radius: int = 5
     smooth_sigma_px: float = 0.028
     smooth_sigma_grey: float = 40.0
-    far_side_fill: bool = True
+    far_side_fill: bool = False
+    """Off by default: since surfaces come from SGM and edges are tested, it loses on the tuning scenes (it won where a
+    pixel took its own best plane)."""
     support_px: float = 0.06
     """A source supports the surface when its own disparity agrees this well."""
     low_confidence: float = 0.15
@@ -37,7 +39,7 @@ class RefineSettings:
     fill_window: int = 41
     fill_sigma_grey: float = 25.0
     snap: bool = True
-    snap_radius: int = 7
+    snap_radius: int = 3
     snap_threshold_px: float = 0.0175
     snap_sigma_grey: float = 25.5
 

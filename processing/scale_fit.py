@@ -92,7 +92,9 @@ def fit_affine(
         # Unknowns: slope and the level at the mean disparity.
         centred = disparity - mean
         normal = share / scale**2 * np.diag([float((weights * centred**2).sum()), float(weights.sum())])
-        right = share / scale**2 * np.array([(weights * centred * inverse_depth).sum(), (weights * inverse_depth).sum()])
+        right = (
+            share / scale**2 * np.array([(weights * centred * inverse_depth).sum(), (weights * inverse_depth).sum()])
+        )
         if prior:
             # c = level − mean·a, so the prior of c is a row (−mean, 1) in these unknowns.
             rows = np.array([[1.0, 0.0], [-mean, 1.0]]) / np.array([[prior.sigma_a], [prior.sigma_c]])

@@ -1,0 +1,171 @@
+"""The edge test: at depth steps, does a pixel belong to the near or to the far surface?
+
+Light-field evidence alone fattens near surfaces: a ray that passes a millimetre beside an object is within the depth
+error of its side. The photo decides: carried into the sources' centre views, 15–20° away, the two hypotheses land on
+different places, and the right one shows the photo's colour. A guided filter over the photo makes neighbours of one
+colour decide alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfrig.processing.geometry import project, projection
+from lfrig.processing.model import F32, U8, Camera, Pose, Source
+
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class EdgeSettings:
+    """Knobs; px are px per view step of the requested light field, grey levels of 0..255."""
+
+    enabled: bool = True
+    gap_px: float = 0.10
+    """A depth step this high within ``window`` asks for the test."""
+    window: int = 23
+    blur_px: float = 0.7
+    cap_grey: float = 30.0
+    inertia_grey: float = 10.0
+    """What a change of side must win by."""
+    margin_px: float = 0.08
+    """Slack of the visibility test [px per view step of the source]."""
+    guide_radius: int = 3
+    guide_eps: float = 40.0
+
+
+DEFAULT_EDGES = EdgeSettings()
+
+
+def decide_edges(
+    inverse_depth: F32,
+    sources: Sequence[Source],
+    camera: Camera,
+    pose: Pose,
+    photo: U8,
+    px_per_inverse: float,
+    settings: EdgeSettings = DEFAULT_EDGES,
+) -> tuple[F32, int]:
+    """Decide near or far at every pixel close to a depth step.
+
+    Parameters
+    ----------
+    inverse_depth : float32 [H, W], 1/m, finite
+    photo : uint8 [H, W, 3]
+    px_per_inverse : float
+        b·F of the requested light field [px·m].
+
+    Returns
+    -------
+    inverse_depth : float32 [H, W]
+    changed : int
+        Pixels that went over to the other side.
+    """
+    import cv2
+
+    near_value, far_value, is_near, tested = _hypotheses(inverse_depth, px_per_inverse, settings)
+    if not tested.any():
+        return inverse_depth, 0
+    blurred = cv2.GaussianBlur(photo.astype(np.float32), (0, 0), settings.blur_px)
+    near_cost, far_cost = (
+        _colour_cost(value, inverse_depth, sources, camera, pose, blurred, settings)
+        for value in (near_value, far_value)
+    )
+    preference = far_cost - near_cost + settings.inertia_grey * np.where(is_near, 1, -1)
+    preference = np.asarray(np.where(tested, preference, 0), np.float32)
+    decided = cv2.ximgproc.guidedFilter(
+        np.ascontiguousarray(photo), preference, settings.guide_radius, settings.guide_eps
+    )
+    to_near, to_far = tested & ~is_near & (decided > 0), tested & is_near & (decided < 0)
+    out = inverse_depth.copy()
+    out[to_near] = near_value[to_near]
+    out[to_far] = far_value[to_far]
+    return out, int(to_near.sum() + to_far.sum())
+
+
+def _hypotheses(inverse_depth: F32, px_per_inverse: float, settings: EdgeSettings) -> tuple[F32, F32, Mask, Mask]:
+    """(near value, far value, is near, tested): the other side's value is that of the nearest pixel on it."""
+    import cv2
+
+    window = np.ones((settings.window, settings.window), np.uint8)
+    highest, lowest = cv2.dilate(inverse_depth, window), cv2.erode(inverse_depth, window)
+    tested = (highest - lowest) * px_per_inverse > settings.gap_px
+    is_near = inverse_depth > 0.5 * (highest + lowest)
+    near = np.where(is_near, inverse_depth, _nearest_value(inverse_depth, tested & is_near))
+    far = np.where(is_near, _nearest_value(inverse_depth, tested & ~is_near), inverse_depth)
+    return near.astype(np.float32), far.astype(np.float32), is_near, np.asarray(tested)
+
+
+def _nearest_value(values: F32, where: Mask) -> F32:
+    """At every pixel the value of the nearest pixel of ``where``."""
+    import cv2
+
+    if not where.any():
+        return values
+    _, labels = cv2.distanceTransformWithLabels(
+        (~where).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
+    )
+    table = np.zeros(int(labels.max()) + 1, np.float32)
+    table[labels[where]] = values[where]
+    return np.asarray(table[labels], np.float32)
+
+
+def _colour_cost(
+    hypothesis: F32,
+    current: F32,
+    sources: Sequence[Source],
+    camera: Camera,
+    pose: Pose,
+    photo: F32,
+    settings: EdgeSettings,
+) -> F32:
+    """Mean capped colour difference [grey levels] over the sources that see the hypothesis, float32 [H, W]."""
+    ys, xs = np.mgrid[0 : camera.height, 0 : camera.width].astype(np.float32)
+    total, mass = np.zeros_like(current), np.zeros_like(current)
+    for source in sources:
+        matrix, offset = projection(camera, pose, source.camera, source.pose)
+        image = _blurred_centre(source, settings.blur_px)
+        colour, seen = _look(source, image, *project(matrix, offset, xs, ys, current), settings)
+        gain = colour_gain(photo, colour, seen > 0.5)
+        colour, seen = _look(source, image, *project(matrix, offset, xs, ys, hypothesis), settings)
+        difference = np.abs(photo - np.clip(colour * gain, 0, 255)).mean(2)
+        total += seen * np.minimum(difference, np.float32(settings.cap_grey))
+        mass += seen
+    # Where nobody looks, nothing speaks for or against.
+    return np.asarray(np.where(mass > 0.05, total / np.maximum(mass, 0.05), 0.5 * settings.cap_grey), np.float32)
+
+
+def _blurred_centre(source: Source, sigma: float) -> F32:
+    import cv2
+
+    return np.asarray(cv2.GaussianBlur(source.light_field.centre_view.astype(np.float32), (0, 0), sigma))
+
+
+def _look(source: Source, image: F32, u: F32, v: F32, w: F32, settings: EdgeSettings) -> tuple[F32, F32]:
+    """Colour float32 [H, W, 3] that a source shows at (u, v), and how far it sees the point there, 0..1 [H, W]."""
+    import cv2
+
+    u, v = np.nan_to_num(u, nan=-9e3), np.nan_to_num(v, nan=-9e3)
+    colour = cv2.remap(image, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    own = cv2.remap(source.evidence.disparity, u, v, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)
+    hidden = (own - source.scale.disparity(np.nan_to_num(w)) - settings.margin_px) / (0.5 * settings.margin_px)
+    inside = (u >= 0) & (v >= 0) & (u <= source.camera.width - 1) & (v <= source.camera.height - 1)
+    return np.asarray(colour), np.asarray(np.clip(1 - hidden, 0, 1) * inside, np.float32)
+
+
+def colour_gain(photo: F32, colour: F32, seen: Mask) -> F32:
+    """Factor per channel that takes a source's colours to the photo's: the median ratio where both are well exposed.
+
+    Exposure and white balance differ from shot to shot; in gamma-encoded values both are factors. float32 [3].
+    """
+    gain = np.ones(3, np.float32)
+    for channel in range(3):
+        a, b = photo[..., channel], colour[..., channel]
+        fair = seen & (a > 20) & (a < 235) & (b > 20) & (b < 235)
+        if int(fair.sum()) > 100:
+            gain[channel] = np.median(a[fair] / b[fair])
+    return gain
