@@ -2,8 +2,8 @@
 
 ``model`` nouns · ``geometry`` projections · ``dpv`` light field → disparity evidence · ``poses/`` captures → poses and
 anchors · ``scale_fit`` disparity ↔ inverse depth · ``fusion`` evidence of all sources in the target's frustum ·
-``regularise`` evidence → surface and confidence · ``refine`` smoothing, unseen areas (and, later, the wide-baseline refinement) · ``edges`` near or far, by the photo ·
-``confidence`` ·
+``regularise`` evidence → surface · ``refine`` smoothing, unseen areas (later: the wide-baseline refinement) ·
+``edges`` near or far, by the photo's colours · ``confidence`` how far to trust it ·
 ``synthesis`` surface → disparity field → views · ``pipeline`` the stages in order · ``metrics`` how good ·
 ``kernels/`` the C++ core and its NumPy twins · ``report/`` pictures and the HTML page · ``export/`` files for others.
 

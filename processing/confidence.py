@@ -8,6 +8,7 @@ near a depth step, whether any source has it in frame. Its coefficients were fit
 from __future__ import annotations
 
 import numpy as np
+
 from lfrig.processing.model import F32
 
 COEFFICIENTS = {

@@ -11,12 +11,13 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
+
 from lfrig.contracts.errors import BadInput
 from lfrig.contracts.progress import Monitor
 from lfrig.processing.kernels.plane_cost import grey_views, plane_cost
 from lfrig.processing.kernels.sgm import aggregate
 from lfrig.processing.model import F32, Evidence, LightField
-from numpy.typing import NDArray
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ Numerics: the relative pose is formed before anything is rounded to float32, so 
 from __future__ import annotations
 
 import numpy as np
+
 from lfrig.processing.model import F32, F64, Camera, Pose
 
 

@@ -12,8 +12,9 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from lfrig.contracts.errors import BadInput
 from numpy.typing import NDArray
+
+from lfrig.contracts.errors import BadInput
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]

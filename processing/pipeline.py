@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+
 from lfrig.contracts.errors import BadInput, NotInThisVersion, UsageError
 from lfrig.contracts.native import load_native
 from lfrig.contracts.progress import Monitor, Notice

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from lfrig.processing.model import F32, U8
 from numpy.typing import NDArray
+
+from lfrig.processing.model import F32, U8
 
 
 def local_planes(

@@ -11,10 +11,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
+
 from lfrig.processing.geometry import project, projection
 from lfrig.processing.model import F32, U8, Camera, Pose, Source
 from lfrig.processing.plane_fit import local_planes
-from numpy.typing import NDArray
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+
 from lfrig.contracts.progress import Monitor
 from lfrig.processing.fusion import FusedVolume
 from lfrig.processing.kernels.sgm import aggregate

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+
 from lfrig.processing.model import Image, LightField, Photo
 
 

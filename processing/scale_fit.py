@@ -9,10 +9,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
+
 from lfrig.contracts.errors import GeometryRefused
 from lfrig.contracts.progress import Monitor
 from lfrig.processing.model import F32, F64, Anchors, Camera, Evidence, LightField, ScaleFit
-from numpy.typing import NDArray
 
 MIN_ANCHORS = 8
 EFFECTIVE_ANCHORS = 60

@@ -12,10 +12,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
+
 from lfrig.contracts.progress import Monitor
 from lfrig.processing.kernels.warp import warp_views
 from lfrig.processing.model import F32, Image
-from numpy.typing import NDArray
 
 Method = Literal["z_buffer", "fixed_point"]
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+
 from lfrig.contracts.native import load_native
 from lfrig.contracts.progress import Monitor
 from lfrig.processing.model import F32, F64, Evidence, ScaleFit

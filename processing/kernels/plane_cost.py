@@ -8,10 +8,11 @@ point, so they agree to about 1/16 grey level.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
+
 from lfrig.contracts.native import load_native
 from lfrig.contracts.progress import Monitor
 from lfrig.processing.model import F32, F64, U8
-from numpy.typing import NDArray
 
 SCALE = 64
 """Fixed-point units per grey level."""

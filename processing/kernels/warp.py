@@ -9,9 +9,10 @@ from __future__ import annotations
 from typing import cast
 
 import numpy as np
+from numpy.typing import NDArray
+
 from lfrig.contracts.native import load_native
 from lfrig.processing.model import F32, Image
-from numpy.typing import NDArray
 
 
 def warp_views(image: Image, fields: F32, offsets: F32, *, threads: int = 0) -> Image:

@@ -57,7 +57,10 @@ def light_field(name: str, centre_x: float, size: int = 5) -> LightField:
                     look(
                         centre_x + (c - half) * BASELINE_M,
                         (r - half) * BASELINE_M,
-                        ((c - half) * BASELINE_M * FOCAL / FOCUS_M * -1, (r - half) * BASELINE_M * FOCAL / FOCUS_M * -1),
+                        (
+                            (c - half) * BASELINE_M * FOCAL / FOCUS_M * -1,
+                            (r - half) * BASELINE_M * FOCAL / FOCUS_M * -1,
+                        ),
                     )[0]
                     for c in range(size)
                 ]

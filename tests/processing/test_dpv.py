@@ -66,7 +66,8 @@ def test_half_apertures_sharpen_depth_edges() -> None:
     square, truth = occluding_square()
     errors = [
         np.mean(
-            (light_field_evidence(square, (-0.5, 2.5), replace(DpvSettings(), occlusion_aware=on)).disparity - truth) ** 2
+            (light_field_evidence(square, (-0.5, 2.5), replace(DpvSettings(), occlusion_aware=on)).disparity - truth)
+            ** 2
         )
         for on in (True, False)
     ]

@@ -30,10 +30,7 @@ def test_a_constant_confidence_removes_nothing_of_the_error() -> None:
 def test_better_confidences_have_smaller_areas() -> None:
     e = errors()
     rng = np.random.default_rng(1)
-    ause = [
-        sparsification(e, (-np.abs(e) + rng.normal(0, s, e.shape)).astype(np.float32)).ause
-        for s in (0.01, 0.1, 1)
-    ]
+    ause = [sparsification(e, (-np.abs(e) + rng.normal(0, s, e.shape)).astype(np.float32)).ause for s in (0.01, 0.1, 1)]
     assert 0 < ause[0] < ause[1] < ause[2]
     assert sparsification(e, np.abs(e)).ause > ause[2]
 
@@ -46,9 +43,7 @@ def test_sparsification_is_invariant_to_order_unit_and_monotone_maps(seed: int, 
     order = np.random.default_rng(seed + 1).permutation(len(e))
     reference = sparsification(e, c).ause
     assert sparsification(e[order], c[order]).ause == pytest.approx(reference, abs=1e-6)
-    assert sparsification((e * scale).astype(np.float32), np.exp(c)).ause == pytest.approx(
-        reference, abs=1e-5
-    )
+    assert sparsification((e * scale).astype(np.float32), np.exp(c)).ause == pytest.approx(reference, abs=1e-5)
 
 
 def test_no_error_at_all_has_no_area() -> None:

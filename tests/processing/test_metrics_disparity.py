@@ -130,9 +130,7 @@ def test_alignment_never_raises_the_mse(seed: int, sigma: float) -> None:
 def test_scores_do_not_depend_on_where_the_pixels_are(seed: int) -> None:
     truth, estimate = smooth_truth(), smooth_truth() + noise(seed)
     order = np.random.default_rng(seed).permutation(truth.size)
-    moved = disparity_scores(
-        estimate.ravel()[order].reshape(SHAPE), truth.ravel()[order].reshape(SHAPE), border_px=0
-    )
+    moved = disparity_scores(estimate.ravel()[order].reshape(SHAPE), truth.ravel()[order].reshape(SHAPE), border_px=0)
     kept = disparity_scores(estimate, truth, border_px=0)
     assert moved["all"].model_dump() == pytest.approx(kept["all"].model_dump(), rel=1e-5)
 

@@ -64,10 +64,7 @@ def test_ssim_against_its_definition() -> None:
 def test_ssim_falls_with_noise() -> None:
     rng = np.random.default_rng(0)
     image = picture()
-    values = [
-        ssim(np.clip(image + rng.normal(0, s, image.shape), 0, 255).astype(np.uint8), image)
-        for s in (2, 10, 40)
-    ]
+    values = [ssim(np.clip(image + rng.normal(0, s, image.shape), 0, 255).astype(np.uint8), image) for s in (2, 10, 40)]
     assert 1 > values[0] > values[1] > values[2] > 0
 
 

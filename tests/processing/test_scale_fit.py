@@ -158,5 +158,7 @@ def test_anchors_at_steps_and_borders_are_left_out(capture) -> None:
     edge = np.abs(np.diff(evidence.disparity, axis=1)).argmax()
     y, x = divmod(int(edge), evidence.disparity.shape[1] - 1)
     xy = np.array([[x + 0.5, y], [0.0, 0.0], [np.nan, 5.0], [30.0, 1e9]])
-    _, usable = scale_fit.anchor_disparities(Anchors(xy, np.full(4, 0.5), np.zeros((4, 3))), evidence, ScaleFitSettings())
+    _, usable = scale_fit.anchor_disparities(
+        Anchors(xy, np.full(4, 0.5), np.zeros((4, 3))), evidence, ScaleFitSettings()
+    )
     assert not usable.any()
