@@ -222,7 +222,7 @@ def load_inputs(store: SessionStore, selection: Selection, options: ProcessOptio
         monitor.advance()
         light_fields = []
         for name in selection.sources:
-            light_fields.append(store.load_light_field(name))
+            light_fields.append(store.load_light_field(name, threads=options.threads))
             monitor.advance()
     return Inputs(light_fields, photo, prior, options)
 

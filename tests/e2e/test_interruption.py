@@ -152,3 +152,18 @@ def test_an_unexpected_failure_is_one_line_without_debug(session: Path) -> None:
     assert "KeyError" in error_line(plain)
     assert "--debug" in error_line(plain)
     assert "Traceback" in debug.stderr
+
+
+@pytest.mark.parametrize("arguments", [["demo", "--size", "tiny", "--out", "{out}"], ["evaluate", "{session}"]])
+def test_ctrl_c_leaves_nothing_of_longer_work(session: Path, tmp_path: Path, arguments: list[str]) -> None:
+    before = everything_in(tmp_path)
+    words = [word.format(out=tmp_path / "demo", session=session) for word in arguments]
+    process = subprocess.Popen([*COMMAND, *words], stderr=subprocess.PIPE, text=True)
+    while process.poll() is None and everything_in(tmp_path) == before:
+        time.sleep(0.01)
+    time.sleep(0.3)
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 130, err
+    assert err.splitlines()[-1].startswith("lfrig: error: interrupted")
+    assert everything_in(tmp_path) - {"session/results"} == before  # an empty folder is no result
