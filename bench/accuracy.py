@@ -19,6 +19,7 @@ from lfrig.bench.accuracy_table import (
     SHIPPED,
     Setup,
     acceptance,
+    case_oracles,
     pose_errors,
     score_fields,
     stage_rows,
@@ -35,7 +36,7 @@ from lfrig.contracts.score import LightFieldScore
 from lfrig.processing.metrics import sparsification
 from lfrig.processing.model import F32, Evidence
 from lfrig.processing.pipeline import ProcessOptions, ProcessResult, process
-from lfrig.rig.candidate import Candidate, score_candidate, score_oracles
+from lfrig.rig.candidate import Candidate, score_candidate
 
 WORST_PICTURE = "accuracy-worst.png"
 STAGES_PICTURE = "accuracy-stages.png"
@@ -106,12 +107,14 @@ def run(
     total = len(names) * len(setups) * len(chosen)
     with state.monitor.task("bench accuracy", total):
         for scene in names:
+            oracles: dict[str, LightFieldScore] | None = None
             for poses in dict.fromkeys(setup.poses for setup in setups):
                 case = shoot_case(
                     scene, size, poses=poses, noise_sigma=noise_sigma, threads=threads, cache_dir=cache_dir,
                     monitor=Muted(state.monitor),
                 )  # fmt: skip
-                _run_scene(state, case, [setup for setup in setups if setup.poses == poses])
+                oracles = oracles or case_oracles(case, threads, Muted(state.monitor))
+                _run_scene(state, case, [setup for setup in setups if setup.poses == poses], oracles)
     rows = stage_rows(state.scenes, chosen, setups)
     _draw(out, state, rows)
     bounded = half == "reporting" and scenes is None and size == FULL and noise_sigma == 0
@@ -122,34 +125,48 @@ def run(
     )  # fmt: skip
 
 
-def _run_scene(state: Run, case: Case, setups: Sequence[Setup]) -> None:
-    """All setups of one scene and one way to poses; evidence is computed once, by the largest setup."""
-    evidence: list[Evidence] | None = None
-    evidence_cost = Cost(0.0, 0.0)
-    oracles: dict[str, LightFieldScore] | None = None
+@dataclass
+class Shared:
+    """The disparity evidence of a scene's sources, computed by the first run and reused by the others."""
+
+    evidence: list[Evidence] = field(default_factory=list)
+    cost: Cost = Cost(0.0, 0.0)
+
+    def first(self, sources: int) -> tuple[list[Evidence] | None, Cost]:
+        """That of the first sources and its cost; None and no cost when it has to be computed yet."""
+        if len(self.evidence) < sources:
+            return None, Cost(0.0, 0.0)
+        share = sources / len(self.evidence)
+        return self.evidence[:sources], Cost(share * self.cost.wall_s, share * self.cost.cpu_s)
+
+    def keep(self, result: ProcessResult) -> None:
+        """Remember what a run computed."""
+        if len(result.sources) > len(self.evidence):
+            self.evidence = [found.source.evidence for found in result.sources]
+            self.cost = _stage_cost(result, only="evidence")
+
+
+def _run_scene(state: Run, case: Case, setups: Sequence[Setup], oracles: dict[str, LightFieldScore]) -> None:
+    """All setups of one scene and one way to poses; the largest first, since it computes the evidence for all."""
+    shared = Shared()
     for setup in sorted(setups, key=lambda s: -s.sources):
         part = case.with_sources(setup.sources)
-        # The shipped stage first: the one run that computes the evidence is then a whole and usual one.
-        for stage in sorted(state.stages, key=lambda s: s.key != SHIPPED):
+        for stage in state.stages:
             row: dict[str, Any] = {"kind": "scene", "scene": case.scene, "setup": setup.name, "stage": stage.key}
+            evidence, extra = shared.first(setup.sources)
             try:
-                known = None if evidence is None else evidence[: setup.sources]
                 result = process(
                     part.sources, part.target, part.prior, _options(part, stage, state.threads),
-                    Muted(state.monitor), evidence=known,
+                    Muted(state.monitor), evidence=evidence,
                 )  # fmt: skip
-                if evidence is None:
-                    evidence = [s.source.evidence for s in result.sources]
-                    evidence_cost = _stage_cost(result, only="evidence")
-                    oracles = _oracles(result, case, state)
-                share = setup.sources / len(evidence)
-                row |= _scene_row(result, case, oracles, evidence_cost, share, state)
+                shared.keep(result)
+                row |= _scene_row(result, case, oracles, extra, state)
                 if stage.key == SHIPPED:
                     state.worst.see(setup, case, row["mse"], result.light_field.disparity)
+                    if state.measure_memory:
+                        row |= _measured(part, stage, state)
             except GeometryRefused as refusal:
                 row |= {"refused": refusal.code, "message": refusal.message}
-            if stage.key == SHIPPED and "refused" not in row and state.measure_memory:
-                row |= _measured(part, stage, state)
             state.scenes.append(row)
             state.monitor.advance()
 
@@ -158,36 +175,20 @@ def _options(case: Case, stage: Stage, threads: int) -> ProcessOptions:
     return case.options(settings=stage.settings, threads=threads)
 
 
-def _oracles(result: ProcessResult, case: Case, state: Run) -> dict[str, LightFieldScore]:
-    """The oracles of a scene: they depend on the photo and the truth alone."""
-    assert case.truth.views is not None
-    truth = case.truth.disparity(case.request.baseline_m, case.request.focus_distance_m)
-    return score_oracles(
-        result.target.image8, case.truth, truth, case.truth.views,
-        threads=state.threads, monitor=Muted(state.monitor),
-    )  # fmt: skip
-
-
 def _scene_row(
-    result: ProcessResult,
-    case: Case,
-    oracles: dict[str, LightFieldScore] | None,
-    evidence_cost: Cost,
-    share: float,
-    state: Run,
+    result: ProcessResult, case: Case, oracles: dict[str, LightFieldScore], extra: Cost, state: Run
 ) -> dict[str, Any]:
+    """The numbers of one run; ``extra`` is the cost of the evidence that it was given."""
     candidate = Candidate.of(result.light_field, metric=result.metric)
     score, error_px = score_candidate(
         candidate, case.truth, oracles=oracles, threads=state.threads, monitor=Muted(state.monitor)
     )
     cost = _stage_cost(result)
-    reused = all(stage.name != "evidence" or stage.cpu_s < 0.5 * evidence_cost.cpu_s for stage in result.stages)
-    add = share if reused else 0.0
     return {
         **score_fields(score),
         "ause": sparsification(error_px, result.light_field.surface.confidence).ause,
-        "wall_s": cost.wall_s + add * evidence_cost.wall_s,
-        "cpu_s": cost.cpu_s + add * evidence_cost.cpu_s,
+        "wall_s": cost.wall_s + extra.wall_s,
+        "cpu_s": cost.cpu_s + extra.cpu_s,
         **pose_errors(result, case),
         "warnings": [notice.code for notice in result.notices],
     }

@@ -12,9 +12,11 @@ from lfrig.bench.cases import Case
 from lfrig.bench.document import Column, Table
 from lfrig.bench.stages import Stage
 from lfrig.contracts.bench import Check
-from lfrig.contracts.score import ScoreDocument
+from lfrig.contracts.progress import Monitor
+from lfrig.contracts.score import LightFieldScore, ScoreDocument
 from lfrig.processing.geometry import relative_pose, rotation_angle_deg
 from lfrig.processing.pipeline import ProcessResult
+from lfrig.rig.candidate import score_oracles
 from lfrig.sim.rig import Poses
 
 SHIPPED = "snap"
@@ -35,6 +37,14 @@ class Setup:
 
 
 SETUPS = (Setup(2, "given"), Setup(2, "prior"), Setup(4, "given"), Setup(4, "prior"))
+
+
+def case_oracles(case: Case, threads: int, monitor: Monitor) -> dict[str, LightFieldScore]:
+    """The oracles of a case: they depend on its photo and its truth, not on sources, poses or methods."""
+    truth, request = case.truth, case.request
+    assert truth.views is not None
+    disparity = truth.disparity(request.baseline_m, request.focus_distance_m)
+    return score_oracles(case.target.image8, truth, disparity, truth.views, threads=threads, monitor=monitor)
 
 
 def score_fields(score: ScoreDocument) -> dict[str, Any]:

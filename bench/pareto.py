@@ -14,7 +14,7 @@ from typing import Any, Literal
 import numpy as np
 
 from lfrig.bench import cotton, peers, plots
-from lfrig.bench.accuracy_table import COSTS, SCORES, mean_fields, score_fields
+from lfrig.bench.accuracy_table import COSTS, SCORES, case_oracles, mean_fields, score_fields
 from lfrig.bench.cases import FULL, Case, scene_names, shoot_case
 from lfrig.bench.document import Column, Table, write
 from lfrig.bench.measure import Cost, Muted, in_fresh_process, stopwatch, summary
@@ -25,7 +25,7 @@ from lfrig.processing.fusion import inverse_depth_range
 from lfrig.processing.model import F32, U8, Source
 from lfrig.processing.pipeline import ProcessResult, process
 from lfrig.processing.synthesis import render_views
-from lfrig.rig.candidate import Candidate, score_candidate, score_oracles
+from lfrig.rig.candidate import Candidate, score_candidate
 
 RESOLUTIONS = (1.0, 0.5, 0.25)
 PICTURE = "pareto.png"
@@ -169,11 +169,7 @@ def run(
 def _run_case(case: Case, runs: int, threads: int, monitor: Monitor) -> list[dict[str, Any]]:
     rows: list[dict[str, Any]] = []
     request = case.request
-    assert case.truth.views is not None
-    oracles = score_oracles(
-        case.target.image8, case.truth, case.truth.disparity(request.baseline_m, request.focus_distance_m),
-        case.truth.views, threads=threads, monitor=Muted(monitor),
-    )  # fmt: skip
+    oracles = case_oracles(case, threads, Muted(monitor))
 
     def row(method: str, outputs: Sequence[tuple[Output, float | None]]) -> dict[str, Any]:
         last = outputs[-1][0]

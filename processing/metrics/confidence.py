@@ -77,9 +77,7 @@ def reliability(error: F32, confidence: F32, *, threshold_px: float = 0.1, bins:
         An unknown error (NaN) counts as a miss; an unknown confidence as 0.
     """
     if error.shape != confidence.shape or error.size == 0:
-        raise BadInput(
-            "error and confidence differ in shape or are empty", field="confidence", remedy="check them"
-        )
+        raise BadInput("error and confidence differ in shape or are empty", field="confidence", remedy="check them")
     predicted = np.clip(np.nan_to_num(confidence.ravel().astype(np.float64), nan=0.0), 0.0, 1.0)
     hit = np.abs(error.ravel()) < threshold_px
     index = np.minimum((predicted * bins).astype(int), bins - 1)

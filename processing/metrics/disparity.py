@@ -43,9 +43,7 @@ def linear_alignment(estimate: F32, truth: F32) -> tuple[float, float]:
     return scale, float(y0 - scale * x0)
 
 
-def disparity_score(
-    estimate: F32, truth: F32, mask: Mask, *, true_range: float, fill: float
-) -> DisparityScore:
+def disparity_score(estimate: F32, truth: F32, mask: Mask, *, true_range: float, fill: float) -> DisparityScore:
     """Score the pixels of ``mask``.
 
     Parameters
@@ -136,9 +134,7 @@ def disparity_scores(
     }
     scale, offset = linear_alignment(estimate, truth)
     aligned = (scale * estimate.astype(np.float64) + offset).astype(np.float32)
-    scores["aligned"] = disparity_score(
-        aligned, truth, masks["all"], true_range=true_range, fill=scale * fill + offset
-    )
+    scores["aligned"] = disparity_score(aligned, truth, masks["all"], true_range=true_range, fill=scale * fill + offset)
     return scores
 
 

@@ -95,9 +95,7 @@ def textureless(image: U8, *, gradient: float = TEXTURELESS_GRADIENT) -> Mask:
     """
     import cv2
 
-    luma = cv2.GaussianBlur(
-        cv2.cvtColor(image, cv2.COLOR_RGB2GRAY).astype(np.float32), (0, 0), TEXTURE_SIGMA_PX
-    )
+    luma = cv2.GaussianBlur(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY).astype(np.float32), (0, 0), TEXTURE_SIGMA_PX)
     # Central differences; Sobel of aperture 1 has no smoothing across and a factor of 2.
     dx = cv2.Sobel(luma, cv2.CV_32F, 1, 0, ksize=1, scale=0.5)
     dy = cv2.Sobel(luma, cv2.CV_32F, 0, 1, ksize=1, scale=0.5)

@@ -60,9 +60,7 @@ def ssim_map(image: U8, truth: U8) -> F32:
         return np.asarray(blurred, np.float32)
 
     # Centred on mid-grey: E[x²] − E[x]² loses half the digits of float32 around 255² otherwise.
-    a, b = (
-        cv2.cvtColor(x.astype(np.float32), cv2.COLOR_RGB2GRAY) - np.float32(127.5) for x in (image, truth)
-    )
+    a, b = (cv2.cvtColor(x.astype(np.float32), cv2.COLOR_RGB2GRAY) - np.float32(127.5) for x in (image, truth))
     mean_a, mean_b = local_mean(a), local_mean(b)
     var_a = local_mean(a * a) - mean_a * mean_a
     var_b = local_mean(b * b) - mean_b * mean_b
@@ -95,12 +93,10 @@ def epi_mae(views: U8, truth: U8) -> float:
     # The gradient of a difference is the difference of the gradients; one view row at a time bounds the
     # memory.
     totals = [
-        _mean_abs_gradients((views[r].astype(np.int16) - truth[r]), spatial_axis=2)
-        for r in range(views.shape[0])
+        _mean_abs_gradients((views[r].astype(np.int16) - truth[r]), spatial_axis=2) for r in range(views.shape[0])
     ]
     totals += [
-        _mean_abs_gradients((views[:, c].astype(np.int16) - truth[:, c]), spatial_axis=1)
-        for c in range(views.shape[1])
+        _mean_abs_gradients((views[:, c].astype(np.int16) - truth[:, c]), spatial_axis=1) for c in range(views.shape[1])
     ]
     return float(np.mean(totals))
 
