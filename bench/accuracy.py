@@ -40,6 +40,7 @@ from lfrig.rig.candidate import Candidate, score_candidate
 
 WORST_PICTURE = "accuracy-worst.png"
 STAGES_PICTURE = "accuracy-stages.png"
+NOTHING = Cost(0.0, 0.0)
 
 
 @dataclass
@@ -130,12 +131,12 @@ class Shared:
     """The disparity evidence of a scene's sources, computed by the first run and reused by the others."""
 
     evidence: list[Evidence] = field(default_factory=list)
-    cost: Cost = Cost(0.0, 0.0)
+    cost: Cost = NOTHING
 
     def first(self, sources: int) -> tuple[list[Evidence] | None, Cost]:
         """That of the first sources and its cost; None and no cost when it has to be computed yet."""
         if len(self.evidence) < sources:
-            return None, Cost(0.0, 0.0)
+            return None, NOTHING
         share = sources / len(self.evidence)
         return self.evidence[:sources], Cost(share * self.cost.wall_s, share * self.cost.cpu_s)
 
