@@ -141,10 +141,10 @@ def fit_paper(plane_index: F64, depth_m: F64, *, iterations: int = 7) -> tuple[f
     Source: Scale-Consistent Fusion, the Ψ function; index units as its figures suggest. Returns (α, β).
     """
     keep = np.ones(len(depth_m), bool)
-    solution = np.zeros(2)
+    solution: F64 = np.zeros(2)
     for _ in range(iterations):
         design = np.c_[1 / plane_index[keep], np.ones(int(keep.sum()))]
-        solution = np.linalg.lstsq(design, depth_m[keep], rcond=None)[0]
+        solution = np.asarray(np.linalg.lstsq(design, depth_m[keep], rcond=None)[0], np.float64)
         residual = np.abs(depth_m - (solution[0] / plane_index + solution[1]))
         keep = residual <= max(float(np.quantile(residual[keep], 0.98)), 1e-9)
     return float(solution[0]), float(solution[1])

@@ -72,7 +72,9 @@ def _library_scene(name: str, seed: int) -> PackedScene:
 
 
 def target_size(width: int, height: int) -> tuple[int, int]:
-    """Size of the target camera's photo beside light-field views of ``width`` × ``height``: about as wide, 3:2, never the same."""
+    """Size of the target camera's photo beside light-field views of ``width`` × ``height``: about as wide,
+    3:2, never the same.
+    """
     wide = 2 * (width // 2)
     high = 2 * round(wide / 3)
     return (wide, high) if (wide, high) != (width, height) else (wide - 6, high - 4)

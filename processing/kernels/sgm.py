@@ -25,9 +25,8 @@ def edge_penalties(guide: U8, p1: float, p2: float, edge_grey: float) -> F32:
 
     def penalty(a: F32, b: F32) -> F32:
         step = np.abs(a - b).sum(-1)
-        return np.asarray(
-            np.maximum(np.float32(1.5 * p1), np.float32(p2) / (1 + step / np.float32(edge_grey))), np.float32
-        )
+        lowered = np.float32(p2) / (1 + step / np.float32(edge_grey))
+        return np.asarray(np.maximum(np.float32(1.5 * p1), lowered), np.float32)
 
     out[0, :, :-1] = penalty(image[:, :-1], image[:, 1:])
     out[1, :-1] = penalty(image[:-1], image[1:])
