@@ -41,6 +41,15 @@ class Segments:
     unit: F64
     length: F64
 
+    def shifted(self, shift: F64) -> Segments:
+        """All moved by ``shift`` [2] px."""
+        return Segments(self.start + shift, self.unit, self.length)
+
+    def offsets(self, rows: Indices, xy: F64) -> F64:
+        """Pixels [K, 2] relative to the middle of the segments of ``rows`` [K], float64 [K, 2] px."""
+        middle = self.start + self.unit * (self.length / 2)[:, None]
+        return xy - middle[rows]
+
     def contains(self, rows: Indices, xy: F64, margin_px: float) -> NDArray[np.bool_]:
         """Whether pixels [K, 2] lie within a margin of the segments of ``rows`` [K]."""
         apart, unit = xy - self.start[rows], self.unit[rows]

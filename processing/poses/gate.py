@@ -134,10 +134,12 @@ def refuse_unstable_views(agreement: Agreement, names: Sequence[str]) -> None:
             )
 
 
-def warn_of_doubtful_poses(agreement: Agreement, names: Sequence[str], monitor: Monitor) -> None:
+def warn_of_doubtful_poses(
+    agreement: Agreement, names: Sequence[str], monitor: Monitor, limit: float = DOUBTFUL_AGREEMENT
+) -> None:
     """Warn of poses that most matches contradict."""
     for v, name in enumerate(names):
-        if agreement.tried[v] >= GOOD_ANCHORS and agreement.best[v] < DOUBTFUL_AGREEMENT:
+        if agreement.tried[v] >= GOOD_ANCHORS and agreement.best[v] < limit:
             monitor.warn(
                 "pose-doubtful",
                 f"capture {name}: only {agreement.best[v]:.0%} of its matches with any other capture fit its pose; "

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfrig.contracts.errors import GeometryRefused
-from lfrig.processing.model import F64, Camera, Evidence, LightField, Pose, ScaleFit
-from lfrig.processing.poses.epipolar import epipolar_segments
-from lfrig.processing.poses.features import Features
-from lfrig.processing.poses.matching import Matches, match_candidates
+from lfrig.processing.model import F32, F64, Camera, Evidence, LightField, Pose, ScaleFit
+from lfrig.processing.poses.epipolar import Indices, Segments, epipolar_segments
+from lfrig.processing.poses.features import DESCRIPTOR_LENGTH, Features
+from lfrig.processing.poses.matching import Candidates, Matches, candidate_pairs, match_candidates
 from lfrig.processing.poses.priors import known_camera
 from lfrig.processing.poses.tracks import Pair
 from lfrig.processing.poses.triangulate import reproject
@@ -38,6 +38,16 @@ OPTICS_TOLERANCE = 0.1
 
 OPTICS_MISMATCH = 0.2
 """A fitted line further than this from the recorded optics was fitted to false matches."""
+
+
+MIN_REACH_PX = 6
+VOTE_SCALE = 0.1
+VOTE_BLUR = 0.05
+VOTE_SIGNIFICANCE = 6.0
+VOTED_BAND = 0.25
+"""Votes: scale of descriptor distances; blur and width left to search, as fractions of the reach; standard deviations
+by which the winner must stand out.
+"""
 
 
 @dataclass(frozen=True)
@@ -144,16 +154,69 @@ class Guide:
         features: Sequence[Features],
         intervals: Sequence[tuple[F64, F64]],
         bands_px: Mapping[Pair, float],
+        *,
+        vote: bool = False,
     ) -> dict[Pair, Matches]:
-        """Matches of the pairs where the geometry, give or take a band, and the light fields say to look."""
+        """Matches of the pairs where the geometry, give or take a band, and the light fields say to look.
+
+        With ``vote`` the band is first narrowed around the shift that most candidates agree on (`common_shift`).
+        """
         found = {}
         for (i, j), band in bands_px.items():
             a, b = features[i], features[j]
             there = epipolar_segments(a.xy, (cameras[i], cameras[j]), (poses[i], poses[j]), intervals[i])
-            rows, columns = there.pairs(b.xy, band)
+            candidates = candidate_pairs(a, b, *there.pairs(b.xy, band))
+            if vote and self.informed(i):
+                candidates = _voted(candidates, there, b.xy, candidates.rows, candidates.columns, band)
             if self.informed(j):
                 back = epipolar_segments(b.xy, (cameras[j], cameras[i]), (poses[j], poses[i]), intervals[j])
-                keep = back.contains(columns, a.xy[rows], band)
-                rows, columns = rows[keep], columns[keep]
-            found[i, j] = match_candidates(a, b, rows, columns)
+                candidates = candidates.keep(back.contains(candidates.columns, a.xy[candidates.rows], band))
+                if vote:
+                    candidates = _voted(candidates, back, a.xy, candidates.columns, candidates.rows, band)
+            found[i, j] = match_candidates(a, b, candidates)
         return found
+
+
+def _voted(
+    candidates: Candidates, segments: Segments, xy: F64, rows: Indices, columns: Indices, band_px: float
+) -> Candidates:
+    """The candidates near the common shift, where there is one that stands out."""
+    shift = common_shift(segments.offsets(rows, xy[columns]), rows, candidates.squared, band_px)
+    if shift is None:
+        return candidates
+    window = max(VOTED_BAND * band_px, MIN_REACH_PX / 2)
+    return candidates.keep(segments.shifted(shift).contains(rows, xy[columns], window))
+
+
+def common_shift(offsets: F64, rows: Indices, squared: F32, reach_px: float) -> F64 | None:
+    """Shift [2] px that candidate matches have in common, relative to where their depth and the prior expect them.
+
+    What is wrong with the poses of a prior moves a whole image by about the same amount. Every feature has one vote,
+    spread over its candidates by the likeness of their descriptors: false candidates scatter, true ones pile up,
+    even on texture that repeats, where its borders and flaws break the tie. None when no pile stands out.
+
+    Parameters
+    ----------
+    offsets : float64 [K, 2]
+        Of candidates from their expected positions, px; those beyond ``reach_px`` do not vote.
+    rows : int64 [K]
+        The feature that each belongs to.
+    squared : float32 [K]
+        Squared distances of descriptors.
+    """
+    import cv2
+
+    reach = int(np.ceil(reach_px))
+    near = (np.abs(offsets) <= reach).all(1)
+    if near.sum() < MIN_JUDGES or reach < MIN_REACH_PX:
+        return None
+    cell, rows = np.rint(offsets[near]).astype(np.int64) + reach, rows[near]
+    likeness = np.exp(-squared[near].astype(np.float64) / (VOTE_SCALE * DESCRIPTOR_LENGTH**2))
+    vote = likeness / np.maximum(np.bincount(rows, likeness)[rows], 1e-12)
+    size = 2 * reach + 1
+    votes = np.bincount(cell[:, 1] * size + cell[:, 0], vote, minlength=size * size).reshape(size, size)
+    votes = cv2.GaussianBlur(votes, (0, 0), max(1.0, VOTE_BLUR * reach), borderType=cv2.BORDER_CONSTANT)
+    peak = np.unravel_index(int(votes.argmax()), votes.shape)
+    if votes[peak] < VOTE_SIGNIFICANCE * votes.std() + votes.mean():
+        return None
+    return np.array([peak[1] - reach, peak[0] - reach], np.float64)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -42,13 +44,35 @@ def match_features(first: Features, second: Features) -> Matches:
     return _one_to_one(matches, distance[keep])
 
 
-def match_candidates(first: Features, second: Features, rows: Indices, columns: Indices) -> Matches:
-    """Match among candidate pairs only (``rows`` sorted), with bounds on distance and on the change of scale."""
+@dataclass(frozen=True)
+class Candidates:
+    """Pairs that may match: ``rows`` (sorted) of the first, ``columns`` of the second image's features, and the
+    ``squared`` distances of their descriptors, float32, all [K].
+    """
+
+    rows: Indices
+    columns: Indices
+    squared: F32
+
+    def keep(self, which: NDArray[np.bool_]) -> Candidates:
+        """Some of them."""
+        return Candidates(self.rows[which], self.columns[which], self.squared[which])
+
+
+def candidate_pairs(first: Features, second: Features, rows: Indices, columns: Indices) -> Candidates:
+    """Candidates among pairs (``rows`` sorted), those of similar scale."""
     similar = np.abs(np.log(first.scale[rows] / second.scale[columns])) < GUIDED_LOG_SCALE
     rows, columns = rows[similar], columns[similar]
     if not len(rows):
+        return Candidates(rows, columns, np.zeros(0, np.float32))
+    return Candidates(rows, columns, _squared_distances(first, second)[rows, columns])
+
+
+def match_candidates(first: Features, second: Features, candidates: Candidates) -> Matches:
+    """Match among candidates only, with a bound on the distance."""
+    rows, columns, squared = candidates.rows, candidates.columns, candidates.squared
+    if not len(rows):
         return np.zeros((0, 2), np.int64)
-    squared = _squared_distances(first, second)[rows, columns]
     # Best and runner-up of every row, then the best of every column.
     starts = np.flatnonzero(np.r_[True, rows[1:] != rows[:-1]])
     least = np.repeat(np.minimum.reduceat(squared, starts), np.diff(np.r_[starts, len(rows)]))

@@ -128,11 +128,18 @@ def widened(guide: Guide) -> tuple[float, float]:
 
 
 def match_again(
-    structure: Structure, features: Sequence[Features], pairs: Sequence[Pair], guide: Guide, band_px: float
+    structure: Structure,
+    features: Sequence[Features],
+    pairs: Sequence[Pair],
+    guide: Guide,
+    band_px: float,
+    *,
+    vote: bool = False,
 ) -> dict[Pair, Matches]:
     """Matches where the solved geometry and the light fields say to look: more of them, and fewer false ones."""
     intervals = guide.intervals(features, structure)
-    return guide.matches(structure.cameras, structure.poses, features, intervals, dict.fromkeys(pairs, band_px))
+    bands = dict.fromkeys(pairs, band_px)
+    return guide.matches(structure.cameras, structure.poses, features, intervals, bands, vote=vote)
 
 
 def complete(

@@ -9,14 +9,15 @@ import numpy as np
 
 from lfrig.contracts.errors import GeometryRefused
 from lfrig.contracts.progress import Monitor
-from lfrig.processing.model import F64, Evidence, LightField, Photo, RigPrior
+from lfrig.processing.model import F64, Evidence, LightField, Photo, Pose, RigPrior
 from lfrig.processing.poses import gate
 from lfrig.processing.poses.arrangement import Arrangement
 from lfrig.processing.poses.features import Features
 from lfrig.processing.poses.guide import Guide
-from lfrig.processing.poses.join_photo import FIRST_BAND, join_photo
+from lfrig.processing.poses.join_photo import join_located, locate, refuse_or_doubt
 from lfrig.processing.poses.matching import Matches, match_features
 from lfrig.processing.poses.priors import (
+    PhotoPrior,
     depth_limits,
     given_arrangement,
     neighbours,
@@ -24,12 +25,19 @@ from lfrig.processing.poses.priors import (
     prior_band_px,
     recentred,
     turntable_arrangement,
+    with_photo,
 )
 from lfrig.processing.poses.structure import COARSE_SCHEDULE_PX, Structure, complete, match_again, refine, widened
 from lfrig.processing.poses.tracks import Pair, build_tracks
 
 JOINT_SCHEDULE_PX = (4.0, 1.0)
 FLIP_GAIN = 2
+SECOND_BAND = 0.03
+"""Where a rough solution may still be off, as a fraction of a view's width (16 px at 541)."""
+
+CONVINCING = 1.5
+"""How many times more unguided matches must fit for the prior to be given up."""
+
 HIDDEN = 0.7
 """A right prior keeps nearly all true matches and finds more; keeping less than this fraction is suspicious."""
 
@@ -58,23 +66,25 @@ def solve_with_prior(
     guide = Guide(sources, evidence, depth_limits(sources, prior), True)
     expected = arrangement.poses(np.zeros(arrangement.size))
     gate.refuse_identical_poses(expected, names, guide.depth_range[0])
-    pairs = neighbours(expected)
-    unguided = {(i, j): match_features(features[i], features[j]) for i, j in pairs}
-    gate.refuse_duplicates(expected, features, unguided, names)
+    known = photo_prior(target, prior, origin)
+    unguided = _unguided(expected, features)
+    among_sources = {p: m for p, m in unguided.items() if max(p) < len(sources)}
+    gate.refuse_duplicates(expected, features, among_sources, names)
 
-    coarse = _coarse(arrangement, features, unguided, guide, monitor)
-    joined = join_photo(coarse, features, target, photo_prior(target, prior, origin), guide, monitor)
-    pairs = neighbours(joined.structure.poses)
-    first = joined.structure
-    if is_free(first.arrangement) and not joined.settled:
-        band = FIRST_BAND * max(s.width for s in sources)
-        seen = build_tracks(features, match_again(first, features, pairs, guide, band))
-        first = refine(first.arrangement, first.parameters, seen, widened(guide), JOINT_SCHEDULE_PX, monitor)
-    final = complete(first, features, pairs, guide, monitor)
-    agreement = gate.measure_agreement(final, features, {**unguided, **joined.unguided})
-    gate.warn_of_doubtful_poses(agreement, names, monitor)
-    if kind != "given":
+    rough = _rough(arrangement, features, unguided, target, known, guide, monitor)
+    pairs = neighbours(rough.poses)
+    if is_free(rough.arrangement):
+        band = SECOND_BAND * max(s.width for s in sources)
+        seen = build_tracks(features, match_again(rough, features, pairs, guide, band, vote=True))
+        rough = refine(rough.arrangement, rough.parameters, seen, widened(guide), JOINT_SCHEDULE_PX, monitor)
+    final = complete(rough, features, pairs, guide, monitor)
+
+    agreement = gate.measure_agreement(final, features, unguided)
+    if kind == "given":
+        gate.warn_of_doubtful_poses(agreement, names, monitor, gate.MIN_AGREEMENT)
+    else:
         _check_turntable(final, agreement, features, unguided, guide, prior.turntable_sigma_deg, monitor)
+    refuse_or_doubt(agreement.agreeing[-1], final, features[-1], known, target, monitor)
     if origin is None:
         return final
     return replace(final, arrangement=_moved(final.arrangement, -origin), points=final.points + origin)
@@ -85,25 +95,59 @@ def is_free(arrangement: Arrangement) -> bool:
     return bool((arrangement.sigmas() > 0).any())
 
 
-def _coarse(
+def _unguided(expected: Sequence[Pose], features: Sequence[Features]) -> dict[Pair, Matches]:
+    """Matches that no geometry guides: of neighbouring sources, and of every source with the photo."""
+    last = len(expected)
+    pairs = [*neighbours(expected), *((v, last) for v in range(last))]
+    return {(i, j): match_features(features[i], features[j]) for i, j in pairs}
+
+
+def _rough(
     arrangement: Arrangement,
     features: Sequence[Features],
-    unguided: Mapping[Pair, Matches],
+    unguided: dict[Pair, Matches],
+    target: Photo,
+    known: PhotoPrior | None,
     guide: Guide,
     monitor: Monitor,
 ) -> Structure:
-    """The sources alone: from matches near where the prior expects them, or, when it hides most of the unguided ones
-    (an angle is wrong), from those, if more of them fit.
+    """All views, the photo last: from the prior, and when that hides most of the unguided matches (an angle or a mount
+    is wrong) from those, if many more of them fit.
     """
+    last = len(features) - 1
+    inner = {p: m for p, m in unguided.items() if last not in p}
+    own = features if known is not None else features[:-1]
+    whole = arrangement if known is None else with_photo(arrangement, target, known)
+    guided = _expected_matches(whole, own, guide)
+    best = _from_matches(whole, own, guided, guide, monitor)
+    hidden = _hides(guided, unguided if known is not None else inner, len(own))
+    if known is not None and not (hidden and is_free(whole)):
+        return best
+    sources = best
+    if known is not None or hidden:
+        sources = _from_matches(arrangement, features[:-1], inner, guide, monitor)
+        if known is None and _fitting(sources, features, inner) < CONVINCING * _fitting(best, features, inner):
+            sources = best
+    located = locate(sources, features, unguided, target)
+    if known is None:
+        gate.refuse_photo(0 if located is None else located.support, target.id)
+    if located is None:
+        return best
+    silent = Monitor()
+    other = join_located(sources, located, target, known, silent)
+    if known is not None and _fitting(other, features, unguided) < CONVINCING * _fitting(best, features, unguided):
+        return best
+    for notice in silent.notices:
+        monitor.warn(notice.code, notice.message)
+    return other
+
+
+def _expected_matches(arrangement: Arrangement, features: Sequence[Features], guide: Guide) -> dict[Pair, Matches]:
+    """Matches of all views near where the prior expects them."""
     zero = np.zeros(arrangement.size)
-    bands = {(i, j): prior_band_px(arrangement, i, j) for i, j in unguided}
-    own = features[:-1]
-    guided = guide.matches(arrangement.cameras(zero), arrangement.poses(zero), own, guide.intervals(own), bands)
-    structure = _from_matches(arrangement, own, guided, guide, monitor)
-    if is_free(arrangement) and _hides(guided, unguided, len(own)):
-        other = _from_matches(arrangement, own, unguided, guide, monitor)
-        structure = max(structure, other, key=lambda s: len(s.seen))
-    return structure
+    cameras, poses = arrangement.cameras(zero), arrangement.poses(zero)
+    bands = {(i, j): prior_band_px(arrangement, i, j) for i, j in neighbours(poses)}
+    return guide.matches(cameras, poses, features, guide.intervals(features), bands, vote=True)
 
 
 def _from_matches(
@@ -118,11 +162,16 @@ def _from_matches(
     return refine(arrangement, np.zeros(arrangement.size), seen, widened(guide), schedule, monitor)
 
 
+def _fitting(structure: Structure, features: Sequence[Features], unguided: Mapping[Pair, Matches]) -> int:
+    """How many unguided matches agree with a structure."""
+    return sum(gate.measure_agreement(structure, features, unguided).agreeing)
+
+
 def _hides(guided: Mapping[Pair, Matches], unguided: Mapping[Pair, Matches], views: int) -> bool:
     """Whether some view loses most of its matches to the prior's gate."""
     for v in range(views):
         inside = sum(len(m) for pair, m in guided.items() if v in pair)
-        outside = sum(len(m) for pair, m in unguided.items() if v in pair)
+        outside = sum(len(m) for pair, m in unguided.items() if v in pair and pair in guided)
         if inside < HIDDEN * outside:
             return True
     return False
@@ -143,8 +192,9 @@ def _check_turntable(
     views = final.arrangement.views[:count]
     if min(agreement.best[:count]) < gate.MIN_AGREEMENT and unguided:
         flipped = Arrangement(final.arrangement.mounts[:1], tuple(replace(v, angle_deg=-v.angle_deg) for v in views))
-        other = _from_matches(flipped, features[:-1], unguided, guide, monitor)
-        best = gate.measure_agreement(other, features[:-1], unguided).best
+        inner = {p: m for p, m in unguided.items() if max(p) < count}
+        other = _from_matches(flipped, features[:-1], inner, guide, monitor)
+        best = gate.measure_agreement(other, features[:-1], inner).best
         if min(best) > FLIP_GAIN * max(min(agreement.best[:count]), gate.MIN_AGREEMENT):
             raise GeometryRefused(
                 "the turntable angles fit the images only with the opposite sign",
@@ -152,6 +202,7 @@ def _check_turntable(
                 remedy="turntable_deg counts counter-clockwise seen from above: invert the recorded angles",
             )
     gate.refuse_lonely_views(agreement, names)
+    gate.warn_of_doubtful_poses(agreement, names, monitor)
     turns = np.rad2deg(final.parameters[final.arrangement.turns])[:count]
     gate.check_angles(turns, np.array([v.angle_deg for v in views]), sigma_deg, names, monitor)
 

@@ -16,7 +16,7 @@ from lfrig.processing.poses.epipolar import (
     sampson_distance,
 )
 from lfrig.processing.poses.features import DESCRIPTOR_LENGTH, Features, extract_features
-from lfrig.processing.poses.matching import match_candidates, match_features
+from lfrig.processing.poses.matching import candidate_pairs, match_candidates, match_features
 from lfrig.processing.poses.tracks import build_tracks
 from lfrig.processing.poses.triangulate import ray_angle_deg, reproject, triangulate
 
@@ -86,7 +86,7 @@ def test_all_candidates_match_as_an_unlimited_search_does():
     noise = rng.normal(0, 4, first.descriptor.shape)
     second = Features(first.xy, first.scale, np.rint(np.abs(first.descriptor + noise)).astype(np.float32), first.place)
     rows, columns = (a.reshape(-1) for a in np.meshgrid(np.arange(60), np.arange(60), indexing="ij"))
-    limited = match_candidates(first, second, rows, columns)
+    limited = match_candidates(first, second, candidate_pairs(first, second, rows, columns))
     np.testing.assert_array_equal(limited, match_features(first, second))
     assert len(limited) > 50
 
@@ -95,7 +95,7 @@ def test_candidates_bound_the_change_of_scale():
     first = made_features([[1.0, 1.0], [50.0, 50.0]])
     second = Features(first.xy, np.array([1.0, 3.0]), first.descriptor, first.place)
     both = np.array([0, 1])
-    np.testing.assert_array_equal(match_candidates(first, second, both, both), [[0, 0]])
+    np.testing.assert_array_equal(match_candidates(first, second, candidate_pairs(first, second, both, both)), [[0, 0]])
 
 
 coordinates = st.floats(0, 100)
