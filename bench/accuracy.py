@@ -33,7 +33,7 @@ from lfrig.contracts.bench import BenchDocument
 from lfrig.contracts.errors import GeometryRefused, LfrigError
 from lfrig.contracts.progress import Monitor
 from lfrig.contracts.score import LightFieldScore
-from lfrig.processing.metrics import sparsification
+from lfrig.processing.metrics import inner_region, reliability, sparsification
 from lfrig.processing.model import F32, Evidence
 from lfrig.processing.pipeline import ProcessOptions, ProcessResult, process
 from lfrig.rig.candidate import Candidate, score_candidate
@@ -184,10 +184,12 @@ def _scene_row(
     score, error_px = score_candidate(
         candidate, case.truth, oracles=oracles, threads=state.threads, monitor=Muted(state.monitor)
     )
-    cost = _stage_cost(result)
+    cost, confidence = _stage_cost(result), result.light_field.surface.confidence
+    inner = inner_region(error_px.shape)
     return {
         **score_fields(score),
-        "ause": sparsification(error_px, result.light_field.surface.confidence).ause,
+        "ause": sparsification(error_px[inner], confidence[inner]).ause,
+        "ece": reliability(error_px[inner], confidence[inner]).ece,
         "wall_s": cost.wall_s + extra.wall_s,
         "cpu_s": cost.cpu_s + extra.cpu_s,
         **pose_errors(result, case),

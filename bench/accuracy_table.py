@@ -157,7 +157,7 @@ STAGE_COLUMNS = (
 )  # fmt: skip
 SCENE_COLUMNS = (
     Column("scene", "scene"), Column("setup", "setup"), *SCORES, Column("mse_aligned", "MSE aligned", ".5f"),
-    Column("ause", "AUSE", ".3f"), Column("pose_error_deg", "pose °", ".3f"),
+    Column("ause", "AUSE", ".3f"), Column("ece", "ECE", ".3f"), Column("pose_error_deg", "pose °", ".3f"),
     Column("pose_error_mm", "pose mm", ".2f"), Column("focal_error_pct", "focal %", ".2f"), *COSTS,
     Column("refused", "refused"), Column("warnings", "warnings"),
 )  # fmt: skip

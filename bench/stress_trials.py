@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lfrig.bench.cases import MEDIUM, Case, shoot_case
+from lfrig.bench.cases import MEDIUM, NEAR_DEG, Case, shoot_case
 from lfrig.bench.measure import Muted
 from lfrig.bench.stress_inputs import exact_anchors, one_plane, rigid, transformed
 from lfrig.contracts.errors import BadInput
@@ -60,9 +60,9 @@ class Base:
 def all_trials(size: tuple[int, int] | None, threads: int, cache_dir: Path | None, monitor: Monitor) -> list[Trial]:
     """Every trial, in order of the groups."""
     case = shoot_case(
-        SCENE, size or MEDIUM, poses="given", truth_views=False, threads=threads, cache_dir=cache_dir,
-        monitor=Muted(monitor),
-    ).with_sources(2)  # fmt: skip
+        SCENE, size or MEDIUM, poses="given", angles_deg=NEAR_DEG, truth_views=False, threads=threads,
+        cache_dir=cache_dir, monitor=Muted(monitor),
+    )  # fmt: skip
     base = Base(case, threads, monitor)
     groups = [identity_trials, gauge_trials, focus_trials, image_trials, geometry_trials]
     return [*scale_fit_trials(), *(trial for group in groups for trial in group(base))]

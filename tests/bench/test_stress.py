@@ -1,13 +1,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from lfrig.bench import stress
 from lfrig.bench.stress import Trial, attempt, check_of
 from lfrig.bench.stress_inputs import exact_anchors, one_plane, rigid, transformed
 from lfrig.bench.stress_trials import scale_fit_trials
+from lfrig.contracts.bench import BenchDocument
 from lfrig.contracts.errors import BadInput, GeometryRefused, Interrupted
 from lfrig.processing.geometry import project_points, relative_pose
 from lfrig.processing.model import Pose
@@ -110,3 +113,17 @@ def test_a_change_of_gauge_keeps_what_cameras_see() -> None:
 def test_a_pose_with_nan_is_no_pose() -> None:
     with pytest.raises(BadInput):
         Pose(np.eye(3), np.array([0, np.nan, 0.0]))
+
+
+def test_the_benchmark_end_to_end(tmp_path: Path) -> None:
+    groups = ["scale fit", "identity", "geometry"]
+    document = stress.run(tmp_path / "out", size=(96, 64), groups=groups, cache_dir=tmp_path / "cache")
+    assert BenchDocument.load(tmp_path / "out" / "stress.json") == document
+    assert list(dict.fromkeys(row["group"] for row in document.rows)) == groups
+    assert len(document.checks) == len(document.rows)
+    # At this size accuracy is nobody's concern; crashes and wrong refusals are.
+    assert [row for row in document.rows if row["outcome"].startswith("crashed")] == []
+    by_name = {row["name"]: row for row in document.rows}
+    for name in ("NaN in a pose", "two identical poses", "no source at all", "the same again", "on one thread"):
+        assert by_name[name]["ok"], by_name[name]
+    assert "no-source" in (tmp_path / "out" / "stress.md").read_text()
