@@ -20,6 +20,7 @@ def local_planes(
     sigma_grey: float,
     ridge: float,
     slopes: tuple[F32, F32] | None = None,
+    ceiling: F32 | None = None,
 ) -> tuple[F32, F32, F32, F32]:
     """Fit ``value ≈ v0 + gx·dx + gy·dy`` around the pixels ``at``.
 
@@ -34,6 +35,8 @@ def local_planes(
         The M pixels to fit at; others cost nothing.
     ridge : float
         Added to Σdx² and Σdy²: pulls slopes to 0 where neighbours are few.
+    ceiling : float32 [H, W], optional
+        Neighbours with values above the pixel's ceiling do not count.
 
     Returns
     -------
@@ -57,6 +60,8 @@ def local_planes(
             exponent -= np.abs(colour[y, x] - own).sum(1) / np.float32(sigma_grey)
             exponent -= np.float32((dx * dx + dy * dy) / radius**2)
             q = weights[y, x] * np.exp(exponent) * inside
+            if ceiling is not None:
+                q *= rise + centre <= ceiling[ys, xs]
             for i, factor in enumerate((1, dx, dy, dx * dx, dx * dy, dy * dy)):
                 if factor:
                     moments[i] += q * np.float32(factor)

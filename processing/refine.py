@@ -37,7 +37,7 @@ class RefineSettings:
     fill_stride: int = 3
     fill_gap_px: float = 0.17
     """Near and far neighbours this far apart count as two surfaces; the far one is continued."""
-    fill_window: int = 41
+    fill_window: int = 49
     fill_sigma_grey: float = 25.0
     snap: bool = True
     snap_radius: int = 3
@@ -115,12 +115,10 @@ def fill_unseen(
     lowest = cv2.erode(np.where(trusted, inverse_depth, np.float32(1e9)), window)
     highest = cv2.dilate(np.where(trusted, inverse_depth, np.float32(-1e9)), window)
     two_surfaces = (highest - lowest) * px_per_inverse > settings.fill_gap_px
-    far = inverse_depth < 0.5 * (lowest + highest)
-    weights = np.where(two_surfaces & ~far, np.float32(0), confidence) + np.float32(1e-6)
-    # A neighbour's membership depends on the pixel's own window; that of the neighbour itself is close enough.
+    ceiling = np.where(two_surfaces, 0.5 * (lowest + highest), np.float32(np.inf)).astype(np.float32)
     v, _, _, strength = local_planes(
-        inverse_depth, weights, photo, unseen, radius=settings.fill_radius, stride=settings.fill_stride,
-        sigma_value=1e6, sigma_grey=settings.fill_sigma_grey, ridge=400.0,
+        inverse_depth, confidence + np.float32(1e-6), photo, unseen, radius=settings.fill_radius,
+        stride=settings.fill_stride, sigma_value=1e6, sigma_grey=settings.fill_sigma_grey, ridge=400.0, ceiling=ceiling,
     )  # fmt: skip
     out = inverse_depth.copy()
     out[unseen] = np.where(strength > 1e-3, np.clip(v, *limits), out[unseen])

@@ -24,6 +24,9 @@ struct SourceView {
     float weight, margin;
 };
 
+// A ray that meets the frame's rim to within rounding is inside, whichever way the rounding went.
+constexpr float kRim = 1e-3f;
+
 struct Options {
     float w0, dw, floor_share;
     int planes;
@@ -58,11 +61,14 @@ int add_source(const SourceView &s, const Options &o, int x, int y, float *ray, 
             u = (px + s.b[0] * w) * inverse;
             v = (py + s.b[1] * w) * inverse;
         }
-        if (!(u >= 0 && v >= 0 && u < float(s.width - 1) && v < float(s.height - 1))) {
+        const float right = float(s.width - 1), bottom = float(s.height - 1);
+        if (!(u > -kRim && v > -kRim && u < right + kRim && v < bottom + kRim)) {
             if (o.log_pool) ray[k] += s.weight * neutral;
             continue;
         }
         ++inside;
+        u = std::min(std::max(u, 0.0f), right - kRim);
+        v = std::min(std::max(v, 0.0f), bottom - kRim);
         const float ws = o.literal ? w : w * inverse;
         const float delta = (ws - s.scale_c) / s.scale_a;
         const float q = (delta - s.first) / s.step;

@@ -16,6 +16,8 @@ from lfrig.contracts.progress import Monitor
 from lfrig.processing.model import F32, F64, Evidence, ScaleFit
 
 _NATIVE = "lfrig.processing.kernels._native"
+RIM_PX = np.float32(1e-3)
+"""A ray that meets the frame's rim to within rounding is inside, whichever way the rounding went."""
 
 
 @dataclass(frozen=True)
@@ -120,12 +122,14 @@ def _add_numpy(
         z = pz + b[2] * w
         inverse = np.where(z > 1e-6, 1 / np.maximum(z, np.float32(1e-6)), np.float32(0))
         u, v = (px + b[0] * w) * inverse, (py + b[1] * w) * inverse
-        inside = (z > 1e-6) & (u >= 0) & (v >= 0) & (u < source_width - 1) & (v < source_height - 1)
+        right, bottom = np.float32(source_width - 1), np.float32(source_height - 1)
+        inside = (z > 1e-6) & (u > -RIM_PX) & (v > -RIM_PX) & (u < right + RIM_PX) & (v < bottom + RIM_PX)
         inside_total += int(inside.sum())
         slot = volume[:, :, k]
         if pool.log_pool:
             slot[~inside] += np.float32(weight) * neutral
-        u, v, inverse_in = u[inside], v[inside], inverse[inside]
+        u, v = np.clip(u[inside], 0, right - RIM_PX), np.clip(v[inside], 0, bottom - RIM_PX)
+        inverse_in = inverse[inside]
         source_w = np.full_like(u, w) if pool.literal else w * inverse_in
         delta = (source_w - np.float32(scale.c)) / np.float32(scale.a)
         p = _trilinear(evidence.probability, u, v, (delta - first) / step)

@@ -16,8 +16,8 @@ WOBBLE_DEG = 0.02
 WOBBLE_M = 0.0002
 """How far a view may lie off the circle of the turntable: bearing play, and the pupil's shift with zoom."""
 
-PAIR_LIMIT_DEG = 32.0
-"""Views further apart share too few SIFT matches, and too many of those are wrong (inliers fall below 180)."""
+PAIR_LIMIT_DEG = 46.0
+"""Views further apart share next to nothing; up to here their few matches, guided, tie the whole together."""
 
 UNKNOWN_FOCAL_WIDTHS = 1.2
 UNKNOWN_FOCAL_SIGMA = 0.3
