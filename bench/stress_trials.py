@@ -201,12 +201,6 @@ def geometry_trials(base: Base) -> list[Trial]:
     def nan_pose() -> float:
         return _accepted(base.process(source_pose(lambda p: Pose(p.rotation, np.array([0, np.nan, 0.4])))))
 
-    def nan_focal() -> float:
-        camera = base.case.target.camera
-        assert camera is not None
-        photo = replace(base.case.target, camera=replace(camera, focal_px=float("nan")))
-        return _accepted(base.process(replace(base.case, target=photo), base.evidence()))
-
     def twins() -> float:
         second = base.case.sources[1].pose
         assert second is not None
@@ -224,8 +218,6 @@ def geometry_trials(base: Base) -> list[Trial]:
 
     return [
         Trial("geometry", "NaN in a pose", nan_pose, "a number that is none", refusal=("pose-not-finite",)),
-        Trial("geometry", "NaN as focal length", nan_focal, "a number that is none",
-              refusal=("bad-input", "camera-not-finite", "focal-not-finite")),
         Trial("geometry", "two identical poses", twins, "no baseline between two sources", refusal=TWINS),
         Trial("geometry", "a photo that looks away", away, "no source sees what it shows", refusal=APART),
         Trial("geometry", "no source at all", nothing, "nothing to start from", refusal=("no-source",)),
