@@ -85,6 +85,7 @@ def solve_with_prior(
     else:
         _check_turntable(final, agreement, features, unguided, guide, prior.turntable_sigma_deg, monitor)
     refuse_or_doubt(agreement.agreeing[-1], final, features[-1], known, target, monitor)
+    _report_photo_angle(final, target, monitor)
     if origin is None:
         return final
     return replace(final, arrangement=_moved(final.arrangement, -origin), points=final.points + origin)
@@ -205,6 +206,18 @@ def _check_turntable(
     gate.warn_of_doubtful_poses(agreement, names, monitor)
     turns = np.rad2deg(final.parameters[final.arrangement.turns])[:count]
     gate.check_angles(turns, np.array([v.angle_deg for v in views]), sigma_deg, names, monitor)
+
+
+def _report_photo_angle(final: Structure, target: Photo, monitor: Monitor) -> None:
+    """Warn when the images contradict the plate angle that was recorded with the photo."""
+    view = final.arrangement.views[-1]
+    turn = float(np.rad2deg(final.parameters[final.arrangement.turns][-1]))
+    if view.sigma_angle_deg > 0 and abs(turn) > gate.ANGLE_SIGMAS * view.sigma_angle_deg:
+        monitor.warn(
+            "photo-pose-corrected",
+            f"photo {target.id}: the turntable said {view.angle_deg:.2f}°, the images say {view.angle_deg + turn:.2f}°; "
+            "the images are believed",
+        )
 
 
 def _moved(arrangement: Arrangement, origin: F64) -> Arrangement:
