@@ -52,31 +52,16 @@ class Segments:
 
     def contains(self, rows: Indices, xy: F64, margin_px: float) -> NDArray[np.bool_]:
         """Whether pixels [K, 2] lie within a margin of the segments of ``rows`` [K]."""
-        apart, unit = xy - self.start[rows], self.unit[rows]
-        across = apart[:, 1] * unit[:, 0] - apart[:, 0] * unit[:, 1]
-        along = (apart * unit).sum(1)
-        inside = (along > -margin_px) & (along < self.length[rows] + margin_px)
-        return np.asarray(inside & (np.abs(across) < margin_px), np.bool_)
-
-    def pairs(self, xy: F64, margin_px: float) -> tuple[Indices, Indices]:
-        """All (segment, pixel) with pixels [N2, 2] within a margin of a segment, sorted by segment.
-
-        Pixels are sorted along the axis in which the segments are short, so that each has few to look at.
-        """
-        if not len(xy) or not len(self.start):
-            return np.zeros(0, np.int64), np.zeros(0, np.int64)
-        end = self.start + self.unit * self.length[:, None]
-        axis = int(np.abs(end - self.start).mean(0).argmin())
-        order = np.argsort(xy[:, axis], kind="stable")
-        sorted_xy = xy[order, axis]
-        first = np.searchsorted(sorted_xy, np.minimum(self.start, end)[:, axis] - margin_px)
-        last = np.searchsorted(sorted_xy, np.maximum(self.start, end)[:, axis] + margin_px)
-        count = np.maximum(last - first, 0)
-        rows = np.repeat(np.arange(len(count)), count)
-        within = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
-        columns = order[np.repeat(first, count) + within]
-        keep = self.contains(rows, xy[columns], margin_px)
-        return rows[keep], columns[keep]
+        x, y = xy[:, 0], xy[:, 1]
+        ux, uy = self.unit[:, 0].take(rows), self.unit[:, 1].take(rows)
+        off_line = self.start[:, 1] * self.unit[:, 0] - self.start[:, 0] * self.unit[:, 1]
+        # Few pixels are near their line: only those are measured along it.
+        near = np.flatnonzero(np.abs(y * ux - x * uy - off_line.take(rows)) < margin_px)
+        rows = rows[near]
+        along = x[near] * ux[near] + y[near] * uy[near] - (self.start * self.unit).sum(1).take(rows)
+        inside = np.zeros(len(xy), bool)
+        inside[near] = (along > -margin_px) & (along < self.length.take(rows) + margin_px)
+        return inside
 
 
 def epipolar_segments(

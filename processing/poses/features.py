@@ -41,7 +41,7 @@ def extract_features(image: U8, limit: int = MAX_FEATURES) -> Features:
     import cv2
 
     grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
-    # Without the precise upscale OpenCV's positions of the first octave are a quarter of a pixel off.
+    # The precise upscale maps pixel x to 2x; without it OpenCV's positions are biased.
     sift = cv2.SIFT.create(limit, 3, CONTRAST_THRESHOLD, 10, 1.6, enable_precise_upscale=True)
     keypoints, descriptor = sift.detectAndCompute(grey, None)
     if not keypoints:

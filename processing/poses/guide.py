@@ -17,7 +17,14 @@ from lfrig.contracts.errors import GeometryRefused
 from lfrig.processing.model import F32, F64, Camera, Evidence, LightField, Pose, ScaleFit
 from lfrig.processing.poses.epipolar import Indices, Segments, epipolar_segments
 from lfrig.processing.poses.features import DESCRIPTOR_LENGTH, Features
-from lfrig.processing.poses.matching import Candidates, Matches, candidate_pairs, match_candidates
+from lfrig.processing.poses.matching import (
+    GUIDED_DISTANCE,
+    Candidates,
+    Gallery,
+    Matches,
+    match_candidates,
+    similar_scale,
+)
 from lfrig.processing.poses.priors import known_camera
 from lfrig.processing.poses.tracks import Pair
 from lfrig.processing.poses.triangulate import reproject
@@ -151,7 +158,7 @@ class Guide:
         self,
         cameras: Sequence[Camera],
         poses: Sequence[Pose],
-        features: Sequence[Features],
+        features: Gallery,
         intervals: Sequence[tuple[F64, F64]],
         bands_px: Mapping[Pair, float],
         *,
@@ -165,7 +172,9 @@ class Guide:
         for (i, j), band in bands_px.items():
             a, b = features[i], features[j]
             there = epipolar_segments(a.xy, (cameras[i], cameras[j]), (poses[i], poses[j]), intervals[i])
-            candidates = candidate_pairs(a, b, *there.pairs(b.xy, band))
+            candidates = features.likely(i, j)
+            candidates = candidates.keep(there.contains(candidates.rows, b.xy[candidates.columns], band))
+            candidates = candidates.keep(similar_scale(a, b, candidates))
             if vote and self.informed(i):
                 candidates = _voted(candidates, there, b.xy, candidates.rows, candidates.columns, band)
             if self.informed(j):
@@ -173,7 +182,7 @@ class Guide:
                 candidates = candidates.keep(back.contains(candidates.columns, a.xy[candidates.rows], band))
                 if vote:
                     candidates = _voted(candidates, back, a.xy, candidates.columns, candidates.rows, band)
-            found[i, j] = match_candidates(a, b, candidates)
+            found[i, j] = match_candidates(a, b, candidates, GUIDED_DISTANCE)
         return found
 
 

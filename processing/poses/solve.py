@@ -14,6 +14,7 @@ from lfrig.processing.model import F64, Anchors, Evidence, LightField, Photo, Po
 from lfrig.processing.poses import gate
 from lfrig.processing.poses.anchors import collect_anchors, metric_scale
 from lfrig.processing.poses.features import extract_features
+from lfrig.processing.poses.matching import Gallery
 from lfrig.processing.poses.priors import has_turntable_prior, photo_prior
 from lfrig.processing.poses.solution import PoseMethod, PoseSolution
 from lfrig.processing.poses.structure import Structure
@@ -54,10 +55,11 @@ def solve_poses(
     """
     kind = choose_method(sources, target, prior, method)
     with _opencv_threads(threads), monitor.task("poses", len(sources) + 2):
-        features = []
+        found = []
         for picture in (*(s.centre_view for s in sources), target.image8):
-            features.append(extract_features(np.ascontiguousarray(picture)))
+            found.append(extract_features(np.ascontiguousarray(picture)))
             monitor.advance()
+        features = Gallery(found)
         if kind == "colmap":
             structure = solve_without_prior(sources, evidence, features, target, monitor)
         else:

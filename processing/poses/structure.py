@@ -12,9 +12,8 @@ from lfrig.contracts.progress import Monitor
 from lfrig.processing.model import F64, Camera, Pose
 from lfrig.processing.poses.adjust import Reprojection, adjust
 from lfrig.processing.poses.arrangement import Arrangement
-from lfrig.processing.poses.features import Features
 from lfrig.processing.poses.guide import Guide
-from lfrig.processing.poses.matching import Matches
+from lfrig.processing.poses.matching import Gallery, Matches
 from lfrig.processing.poses.tracks import Observations, Pair, build_tracks
 from lfrig.processing.poses.triangulate import ray_angle_deg, reproject, triangulate
 
@@ -129,7 +128,7 @@ def widened(guide: Guide) -> tuple[float, float]:
 
 def match_again(
     structure: Structure,
-    features: Sequence[Features],
+    features: Gallery,
     pairs: Sequence[Pair],
     guide: Guide,
     band_px: float,
@@ -142,9 +141,7 @@ def match_again(
     return guide.matches(structure.cameras, structure.poses, features, intervals, bands, vote=vote)
 
 
-def complete(
-    first: Structure, features: Sequence[Features], pairs: Sequence[Pair], guide: Guide, monitor: Monitor
-) -> Structure:
+def complete(first: Structure, features: Gallery, pairs: Sequence[Pair], guide: Guide, monitor: Monitor) -> Structure:
     """Match again in the first solution's geometry, adjust once more, and keep what fits."""
     band = max(1.0, BAND_SIGMAS * first.noise_px)
     seen = build_tracks(features, match_again(first, features, pairs, guide, band))

@@ -12,10 +12,9 @@ from lfrig.contracts.progress import Monitor
 from lfrig.processing.model import F64, Evidence, LightField, Photo, Pose, RigPrior
 from lfrig.processing.poses import gate
 from lfrig.processing.poses.arrangement import Arrangement
-from lfrig.processing.poses.features import Features
 from lfrig.processing.poses.guide import Guide
 from lfrig.processing.poses.join_photo import join_located, locate, refuse_or_doubt
-from lfrig.processing.poses.matching import Matches, match_features
+from lfrig.processing.poses.matching import Gallery, Matches
 from lfrig.processing.poses.priors import (
     PhotoPrior,
     depth_limits,
@@ -46,7 +45,7 @@ def solve_with_prior(
     kind: str,
     sources: Sequence[LightField],
     evidence: Sequence[Evidence],
-    features: Sequence[Features],
+    features: Gallery,
     target: Photo,
     prior: RigPrior,
     monitor: Monitor,
@@ -96,16 +95,16 @@ def is_free(arrangement: Arrangement) -> bool:
     return bool((arrangement.sigmas() > 0).any())
 
 
-def _unguided(expected: Sequence[Pose], features: Sequence[Features]) -> dict[Pair, Matches]:
+def _unguided(expected: Sequence[Pose], features: Gallery) -> dict[Pair, Matches]:
     """Matches that no geometry guides: of neighbouring sources, and of every source with the photo."""
     last = len(expected)
     pairs = [*neighbours(expected), *((v, last) for v in range(last))]
-    return {(i, j): match_features(features[i], features[j]) for i, j in pairs}
+    return {(i, j): features.match(i, j) for i, j in pairs}
 
 
 def _rough(
     arrangement: Arrangement,
-    features: Sequence[Features],
+    features: Gallery,
     unguided: dict[Pair, Matches],
     target: Photo,
     known: PhotoPrior | None,
@@ -117,16 +116,15 @@ def _rough(
     """
     last = len(features) - 1
     inner = {p: m for p, m in unguided.items() if last not in p}
-    own = features if known is not None else features[:-1]
     whole = arrangement if known is None else with_photo(arrangement, target, known)
-    guided = _expected_matches(whole, own, guide)
-    best = _from_matches(whole, own, guided, guide, monitor)
-    hidden = _hides(guided, unguided if known is not None else inner, len(own))
+    guided = _expected_matches(whole, features, guide)
+    best = _from_matches(whole, features, guided, guide, monitor)
+    hidden = _hides(guided, unguided if known is not None else inner, len(whole.views))
     if known is not None and not (hidden and is_free(whole)):
         return best
     sources = best
     if known is not None or hidden:
-        sources = _from_matches(arrangement, features[:-1], inner, guide, monitor)
+        sources = _from_matches(arrangement, features, inner, guide, monitor)
         if known is None and _fitting(sources, features, inner) < CONVINCING * _fitting(best, features, inner):
             sources = best
     located = locate(sources, features, unguided, target)
@@ -143,7 +141,7 @@ def _rough(
     return other
 
 
-def _expected_matches(arrangement: Arrangement, features: Sequence[Features], guide: Guide) -> dict[Pair, Matches]:
+def _expected_matches(arrangement: Arrangement, features: Gallery, guide: Guide) -> dict[Pair, Matches]:
     """Matches of all views near where the prior expects them."""
     zero = np.zeros(arrangement.size)
     cameras, poses = arrangement.cameras(zero), arrangement.poses(zero)
@@ -153,7 +151,7 @@ def _expected_matches(arrangement: Arrangement, features: Sequence[Features], gu
 
 def _from_matches(
     arrangement: Arrangement,
-    features: Sequence[Features],
+    features: Gallery,
     matches: Mapping[Pair, Matches],
     guide: Guide,
     monitor: Monitor,
@@ -163,7 +161,7 @@ def _from_matches(
     return refine(arrangement, np.zeros(arrangement.size), seen, widened(guide), schedule, monitor)
 
 
-def _fitting(structure: Structure, features: Sequence[Features], unguided: Mapping[Pair, Matches]) -> int:
+def _fitting(structure: Structure, features: Gallery, unguided: Mapping[Pair, Matches]) -> int:
     """How many unguided matches agree with a structure."""
     return sum(gate.measure_agreement(structure, features, unguided).agreeing)
 
@@ -181,7 +179,7 @@ def _hides(guided: Mapping[Pair, Matches], unguided: Mapping[Pair, Matches], vie
 def _check_turntable(
     final: Structure,
     agreement: gate.Agreement,
-    features: Sequence[Features],
+    features: Gallery,
     unguided: Mapping[Pair, Matches],
     guide: Guide,
     sigma_deg: float,
@@ -194,8 +192,8 @@ def _check_turntable(
     if min(agreement.best[:count]) < gate.MIN_AGREEMENT and unguided:
         flipped = Arrangement(final.arrangement.mounts[:1], tuple(replace(v, angle_deg=-v.angle_deg) for v in views))
         inner = {p: m for p, m in unguided.items() if max(p) < count}
-        other = _from_matches(flipped, features[:-1], inner, guide, monitor)
-        best = gate.measure_agreement(other, features[:-1], inner).best
+        other = _from_matches(flipped, features, inner, guide, monitor)
+        best = gate.measure_agreement(other, features, inner).best
         if min(best) > FLIP_GAIN * max(min(agreement.best[:count]), gate.MIN_AGREEMENT):
             raise GeometryRefused(
                 "the turntable angles fit the images only with the opposite sign",
@@ -215,8 +213,8 @@ def _report_photo_angle(final: Structure, target: Photo, monitor: Monitor) -> No
     if view.sigma_angle_deg > 0 and abs(turn) > gate.ANGLE_SIGMAS * view.sigma_angle_deg:
         monitor.warn(
             "photo-pose-corrected",
-            f"photo {target.id}: the turntable said {view.angle_deg:.2f}°, the images say {view.angle_deg + turn:.2f}°; "
-            "the images are believed",
+            f"photo {target.id}: the turntable said {view.angle_deg:.2f}°, the images say "
+            f"{view.angle_deg + turn:.2f}°; the images are believed",
         )
 
 

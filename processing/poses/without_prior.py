@@ -15,7 +15,7 @@ from lfrig.processing.poses.arrangement import Arrangement, Viewpoint
 from lfrig.processing.poses.features import Features
 from lfrig.processing.poses.guide import Guide
 from lfrig.processing.poses.mapping import Mapped, map_incrementally
-from lfrig.processing.poses.matching import Matches, match_features
+from lfrig.processing.poses.matching import Gallery, Matches
 from lfrig.processing.poses.priors import known_camera, neighbours
 from lfrig.processing.poses.structure import Structure, complete, refine
 from lfrig.processing.poses.tracks import Pair, build_tracks
@@ -32,7 +32,7 @@ DEPTH_SPAN = 8.0
 def solve_without_prior(
     sources: Sequence[LightField],
     evidence: Sequence[Evidence],
-    features: Sequence[Features],
+    features: Gallery,
     target: Photo,
     monitor: Monitor,
 ) -> Structure:
@@ -40,9 +40,7 @@ def solve_without_prior(
     names = [*(f"capture {s.id}" for s in sources), f"photo {target.id}"]
     cameras = [*(known_camera(s) for s in sources), known_camera(target)]
     count = len(cameras)
-    matches: dict[Pair, Matches] = {
-        (i, j): match_features(features[i], features[j]) for j in range(count) for i in range(j)
-    }
+    matches: dict[Pair, Matches] = {(i, j): features.match(i, j) for j in range(count) for i in range(j)}
     mapped = map_incrementally(cameras, features, matches, monitor)
     _refuse_missing(mapped, names, matches, features)
     arrangement = _loose_arrangement(mapped, cameras)

@@ -16,7 +16,8 @@ from lfrig.processing.poses.epipolar import (
     sampson_distance,
 )
 from lfrig.processing.poses.features import DESCRIPTOR_LENGTH, Features, extract_features
-from lfrig.processing.poses.matching import candidate_pairs, match_candidates, match_features
+from lfrig.processing.poses.guide import common_shift
+from lfrig.processing.poses.matching import Gallery, likely_pairs, match_candidates, similar_scale
 from lfrig.processing.poses.tracks import build_tracks
 from lfrig.processing.poses.triangulate import ray_angle_deg, reproject, triangulate
 
@@ -30,9 +31,8 @@ def made_features(xy, descriptor_seed=0, twins=0) -> Features:
     place = np.arange(len(xy))
     if twins:
         place[-twins:] = np.arange(twins)
-    return Features(
-        np.asarray(xy, float), np.ones(len(xy)), np.rint(root * DESCRIPTOR_LENGTH).astype(np.float32), place
-    )
+    rounded = np.rint(root * DESCRIPTOR_LENGTH).astype(np.float32)
+    return Features(np.asarray(xy, float), np.ones(len(xy)), rounded, place)
 
 
 def test_features_follow_a_shift_of_a_quarter_pixel(still, studio):
@@ -41,7 +41,7 @@ def test_features_follow_a_shift_of_a_quarter_pixel(still, studio):
     shifted = Camera(camera.width, camera.height, camera.focal_px, camera.cx + 5.25, camera.cy - 3.5)
     other, _ = studio.render(studio.still_life(), shifted, still.true_poses[1])
     first, second = extract_features(np.ascontiguousarray(image)), extract_features(other)
-    matches = match_features(first, second)
+    matches = Gallery([first, second]).match(0, 1)
     moved = second.xy[matches[:, 1]] - first.xy[matches[:, 0]]
     assert len(matches) > 150
     np.testing.assert_allclose(np.median(moved, axis=0), [5.25, -3.5], atol=0.06)
@@ -50,7 +50,7 @@ def test_features_follow_a_shift_of_a_quarter_pixel(still, studio):
 def test_a_blank_image_has_no_features():
     features = extract_features(np.full((60, 80, 3), 128, np.uint8))
     assert len(features) == 0
-    assert match_features(features, features).shape == (0, 2)
+    assert Gallery([features, features]).match(0, 1).shape == (0, 2)
 
 
 def test_descriptors_are_integers_of_fixed_length(still):
@@ -64,7 +64,7 @@ def test_matching_finds_a_permutation():
     first = made_features(rng.uniform(0, 200, (80, 2)))
     order = rng.permutation(80)
     second = Features(first.xy[order], first.scale, first.descriptor[order], np.arange(80))
-    matches = match_features(first, second)
+    matches = Gallery([first, second]).match(0, 1)
     np.testing.assert_array_equal(order[matches[:, 1]], matches[:, 0])
     assert len(matches) == 80
 
@@ -73,53 +73,63 @@ def test_a_repeated_descriptor_is_ambiguous_but_a_second_orientation_is_not():
     first = made_features(np.random.default_rng(0).uniform(0, 200, (20, 2)))
     doubled = np.r_[first.descriptor, first.descriptor[:1]]
     elsewhere = Features(np.r_[first.xy, [[5.0, 5.0]]], np.ones(21), doubled, np.arange(21))
-    assert 0 not in match_features(first, elsewhere)[:, 0]
+    assert 0 not in Gallery([first, elsewhere]).match(0, 1)[:, 0]
     same_place = Features(np.r_[first.xy, first.xy[:1]], np.ones(21), doubled, np.r_[np.arange(20), 0])
-    matches = match_features(first, same_place)
+    matches = Gallery([first, same_place]).match(0, 1)
     assert [0, 0] in matches.tolist()
     assert len(np.unique(matches[:, 1])) == len(matches)
 
 
-def test_all_candidates_match_as_an_unlimited_search_does():
+def test_matches_are_those_of_a_plain_search():
     rng = np.random.default_rng(3)
-    first = made_features(rng.uniform(0, 200, (60, 2)), 1, twins=4)
-    noise = rng.normal(0, 4, first.descriptor.shape)
-    second = Features(first.xy, first.scale, np.rint(np.abs(first.descriptor + noise)).astype(np.float32), first.place)
-    rows, columns = (a.reshape(-1) for a in np.meshgrid(np.arange(60), np.arange(60), indexing="ij"))
-    limited = match_candidates(first, second, candidate_pairs(first, second, rows, columns))
-    np.testing.assert_array_equal(limited, match_features(first, second))
-    assert len(limited) > 50
+    first = made_features(rng.uniform(0, 200, (60, 2)), 1)
+    spoilt = np.abs(first.descriptor + rng.normal(0, 12, first.descriptor.shape))
+    second = Features(first.xy, first.scale, np.rint(spoilt).astype(np.float32), first.place)
+    squared = ((first.descriptor[:, None] - second.descriptor[None]) ** 2).sum(2) / DESCRIPTOR_LENGTH**2
+    expected = []
+    for row in range(60):
+        best, runner_up = np.argsort(squared[row])[:2]
+        limit = min(0.85**2 * min(squared[row, runner_up], 0.5), 0.5)
+        if squared[row, best] < limit and squared[:, best].argmin() == row:
+            expected.append([row, best])
+    assert len(expected) > 20
+    np.testing.assert_array_equal(Gallery([first, second]).match(0, 1), expected)
 
 
-def test_candidates_bound_the_change_of_scale():
+def test_fewer_candidates_have_fewer_rivals():
     first = made_features([[1.0, 1.0], [50.0, 50.0]])
-    second = Features(first.xy, np.array([1.0, 3.0]), first.descriptor, first.place)
-    both = np.array([0, 1])
-    np.testing.assert_array_equal(match_candidates(first, second, candidate_pairs(first, second, both, both)), [[0, 0]])
+    twin = Features(first.xy[[0, 0]] + [[0, 0], [9, 9]], np.ones(2), first.descriptor[[0, 0]], np.arange(2))
+    candidates = likely_pairs(first, twin)
+    assert len(match_candidates(first, twin, candidates)) == 0
+    here = candidates.keep(candidates.columns == 0)
+    np.testing.assert_array_equal(match_candidates(first, twin, here), [[0, 0]])
+
+
+def test_scale_must_be_similar():
+    first = made_features([[1.0, 1.0], [50.0, 50.0]])
+    second = Features(first.xy, np.array([1.5, 3.0]), first.descriptor, first.place)
+    candidates = likely_pairs(first, second)
+    kept = candidates.keep(similar_scale(first, second, candidates))
+    assert kept.rows.tolist() == [0] == kept.columns.tolist()
 
 
 coordinates = st.floats(0, 100)
 
 
 @given(
-    st.lists(st.tuples(coordinates, coordinates, coordinates, coordinates), min_size=1, max_size=12),
-    st.lists(st.tuples(coordinates, coordinates), min_size=1, max_size=12),
+    st.tuples(coordinates, coordinates, coordinates, coordinates),
+    st.tuples(coordinates, coordinates),
     st.floats(0.5, 20),
 )
-def test_pairs_near_segments_are_those_that_a_full_search_finds(ends, pixels, margin):
-    table, xy = np.array(ends), np.array(pixels)
-    along = table[:, 2:] - table[:, :2]
-    length = np.linalg.norm(along, axis=1)
-    segments = Segments(table[:, :2], along / np.maximum(length, 1e-12)[:, None], length)
-    rows, columns = segments.pairs(xy, margin)
-    found = set(zip(rows.tolist(), columns.tolist(), strict=True))
-    everything = {
-        (i, j)
-        for i in range(len(table))
-        for j in range(len(xy))
-        if segments.contains(np.array([i]), xy[j : j + 1], margin)[0]
-    }
-    assert found == everything and (np.diff(rows) >= 0).all()
+def test_a_segment_contains_what_its_frame_says(ends, pixel, margin):
+    start, end, xy = np.array(ends[:2]), np.array(ends[2:]), np.array(pixel)
+    length = np.linalg.norm(end - start)
+    unit = (end - start) / max(length, 1e-12)
+    across, along = np.cross(np.r_[unit, 0], np.r_[xy - start, 0])[2], (xy - start) @ unit
+    slack = min(abs(abs(across) - margin), abs(along + margin), abs(along - length - margin))
+    expected = abs(across) < margin and -margin < along < length + margin
+    found = Segments(start[None], unit[None], np.array([length])).contains(np.array([0]), xy[None], margin)[0]
+    assert found == expected or slack < 1e-9
 
 
 @pytest.fixture
@@ -192,3 +202,16 @@ def test_keeping_rows_drops_points_that_are_seen_once(scene):
     assert kept.count == 40 and len(kept) == 80
     np.testing.assert_array_equal(which, np.arange(40))
     assert (np.bincount(kept.point) == 2).all()
+
+
+def test_candidates_that_share_a_shift_are_found_among_many_false_ones():
+    rng = np.random.default_rng(0)
+    rows = np.repeat(np.arange(120), 9)
+    offsets = rng.uniform(-40, 40, (len(rows), 2))
+    true = np.arange(len(rows)) % 9 == 0
+    offsets[true] = np.array([17.0, -9.0]) + rng.normal(0, 2, (true.sum(), 2))
+    squared = np.full(len(rows), 0.15 * DESCRIPTOR_LENGTH**2, np.float32)
+    shift = common_shift(offsets, rows, squared, 40.0)
+    np.testing.assert_allclose(shift, [17, -9], atol=2)
+    offsets[true] = rng.uniform(-40, 40, (true.sum(), 2))
+    assert common_shift(offsets, rows, squared, 40.0) is None
