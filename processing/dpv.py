@@ -224,7 +224,7 @@ def softmax_peak(cost: F32, inverse_temperature: float, window: int) -> tuple[ND
         near = np.abs(labels - p.argmax(2)[..., None]) <= window
         p *= near
         mass = p.sum(2)
-        confidence[y : y + rows] = mass
+        confidence[y : y + rows] = np.minimum(mass, 1)
         index[y : y + rows] = (p @ labels) / mass
     return probability, index, confidence
 

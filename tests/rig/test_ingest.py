@@ -300,6 +300,7 @@ def test_a_real_interrupt_signal_leaves_a_valid_session(tmp_path: Path, sai: Pat
 import os, signal
 from lfrig.contracts.progress import Monitor
 from lfrig.rig.ingest import ingest
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a background job inherits it ignored
 class Signals(Monitor):
     def on_advance(self, steps):
         os.kill(os.getpid(), signal.SIGINT)
