@@ -7,7 +7,6 @@ around zero, whose sigma the calibration knows; a sigma of zero holds it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -117,7 +116,7 @@ class Arrangement:
         table = np.zeros((len(self.views), LOCAL, self.size))
         for v, view in enumerate(self.views):
             wobble = x[self.wobble(v)]
-            before, after = self._chain(x, v)
+            before = self._chain(x, v)[0]
             lift = adjoint(wobble)
             correction = slice(6 * view.mount, 6 * view.mount + 6)
             table[v, :6, correction] = lift @ motion_derivative(x[correction])
@@ -125,7 +124,6 @@ class Arrangement:
             table[v, :6, self.turns.start + v] = lift @ np.r_[axis, -np.cross(axis, before.translation)]
             table[v, :6, self.wobble(v)] = motion_derivative(wobble)
             table[v, 6, self.log_focals.start + v] = 1.0
-            del after
         return table
 
     def start_at(self, x: F64, view: int, pose: Pose) -> F64:
@@ -192,8 +190,3 @@ def motion_derivative(motion: F64) -> F64:
     table[:3, :3] = left
     table[3:, :3] = skew(motion[3:]) @ left
     return table
-
-
-def free_view(camera: Camera, mounts: Sequence[Pose]) -> Viewpoint:
-    """A view on a mount of its own, the next after ``mounts``."""
-    return Viewpoint(camera, len(mounts))

@@ -158,4 +158,5 @@ def prior_band_px(arrangement: Arrangement, i: int, j: int) -> float:
         squared += (part * np.deg2rad(mount.sigma_deg)) ** 2 + (part * mount.sigma_m / max(distance, 1e-9)) ** 2
     for view in views:
         squared += (SWING * np.deg2rad(view.sigma_angle_deg)) ** 2 + (view.camera.sigma_focal * SWING / 2) ** 2
-    return float(max(BAND_SIGMAS * views[1].camera.focal_px * np.sqrt(squared), MIN_BAND_PX))
+    band = BAND_SIGMAS * views[1].camera.focal_px * np.sqrt(squared)
+    return float(np.clip(band, MIN_BAND_PX, views[1].camera.width))

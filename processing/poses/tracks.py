@@ -52,10 +52,6 @@ class Observations:
             kept,
         )
 
-    def per_view(self, views: int) -> NDArray[np.int64]:
-        """Sightings in each of ``views`` views."""
-        return np.bincount(self.view, minlength=views)
-
 
 def build_tracks(features: Sequence[Features], matches: Mapping[Pair, Matches]) -> Observations:
     """Join matches transitively. A match that would put two features of one image into a track is left out.
