@@ -295,9 +295,9 @@ def _refine(
     px = request.baseline_m * camera.focal_px
     if knobs.smooth:
         inverse_depth = smooth(inverse_depth, peak, image, px, knobs)
-    agreeing, in_view = support(inverse_depth, ready, camera, pose, knobs)
     moved = 0
     if knobs.far_side_fill:
+        agreeing, in_view = support(inverse_depth, ready, camera, pose, knobs)
         raw = peak**2 * np.minimum(agreeing, 1)
         # Beyond every source's frame there is nothing behind which something could hide: the regularised value stays.
         unseen = in_view & ((agreeing == 0) | ((raw < knobs.low_confidence) & (peak < knobs.low_peak)))
@@ -308,8 +308,7 @@ def _refine(
         moved += changed
     if knobs.snap:
         inverse_depth = snap_to_edges(inverse_depth, image, px, knobs)
-    if moved or knobs.snap:
-        agreeing, in_view = support(inverse_depth, ready, camera, pose, knobs)
+    agreeing, in_view = support(inverse_depth, ready, camera, pose, knobs)
     probability, sigma_px = confidence_model.calibrate(inverse_depth * np.float32(px), peak, agreeing, in_view)
     surface = Surface(inverse_depth, probability, np.asarray(sigma_px / px, np.float32), agreeing)
     return surface, moved

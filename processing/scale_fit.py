@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from lfrig.contracts.errors import GeometryRefused
 from lfrig.contracts.progress import Monitor
-from lfrig.processing.model import F32, F64, Anchors, Camera, Evidence, LightField, ScaleFit
+from lfrig.processing.model import F64, Anchors, Camera, Evidence, LightField, ScaleFit
 
 MIN_ANCHORS = 8
 EFFECTIVE_ANCHORS = 60
@@ -297,8 +297,3 @@ def _refusal(code: str, message: str, name: str) -> GeometryRefused:
         code=code,
         remedy="shoot it again with more texture or overlap, leave it out with --sources, or record its optics",
     )
-
-
-def inverse_depth_map(evidence: Evidence, fit: ScaleFit) -> F32:
-    """Inverse depth [1/m] of a capture's centre view, float32 [H, W]."""
-    return fit.inverse_depth(evidence.disparity)
