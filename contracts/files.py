@@ -94,9 +94,9 @@ def atomic_write_text(path: Path, text: str) -> None:
 def atomic_folder(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
     """Build a folder aside and move it into place only when the block succeeds.
 
-    Yields the temporary folder to fill. When the block raises, it is removed and whatever was at ``path``
-    stays. A process killed between the two renames of an overwrite leaves the old folder under a hidden name;
-    the next `atomic_folder` of the same path puts it back first.
+    Yields the temporary folder to fill. When the block raises, it is removed with the parents that were made
+    for it, and whatever was at ``path`` stays. A process killed between the two renames of an overwrite leaves
+    the old folder under a hidden name; the next `atomic_folder` of the same path puts it back first.
 
     Raises
     ------
@@ -109,6 +109,7 @@ def atomic_folder(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
         _restore_abandoned(path)
     refuse_existing(path, overwrite=overwrite)
     temporary = _beside(path, "tmp")
+    made = [parent for parent in path.parents if not parent.exists()]
     try:
         with disk_errors(path):
             temporary.mkdir(parents=True)
@@ -118,6 +119,9 @@ def atomic_folder(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
             _swap(temporary, path)
     finally:
         _remove(temporary)
+        for parent in made:  # innermost first; one that holds something stays
+            with contextlib.suppress(OSError):
+                parent.rmdir()
 
 
 def _swap(temporary: Path, path: Path) -> None:

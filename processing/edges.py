@@ -71,9 +71,8 @@ def decide_edges(
     if not tested.any():
         return inverse_depth, 0
     blurred = cv2.GaussianBlur(photo.astype(np.float32), (0, 0), settings.blur_px)
-    near_cost, far_cost = (
-        _colour_cost(value, inverse_depth, sources, camera, pose, blurred, settings)
-        for value in (near_value, far_value)
+    near_cost, far_cost = _colour_costs(
+        (near_value, far_value), inverse_depth, sources, camera, pose, blurred, settings
     )
     preference = far_cost - near_cost + settings.inertia_grey * np.where(is_near, 1, -1)
     preference = np.asarray(np.where(tested, preference, 0), np.float32)
@@ -114,29 +113,32 @@ def _nearest_value(values: F32, where: Mask) -> F32:
     return np.asarray(table[labels], np.float32)
 
 
-def _colour_cost(
-    hypothesis: F32,
+def _colour_costs(
+    hypotheses: Sequence[F32],
     current: F32,
     sources: Sequence[Source],
     camera: Camera,
     pose: Pose,
     photo: F32,
     settings: EdgeSettings,
-) -> F32:
-    """Mean capped colour difference [grey levels] over the sources that see the hypothesis, float32 [H, W]."""
+) -> list[F32]:
+    """For each hypothesis the mean capped colour difference [grey levels] over the sources that see it, [H, W]."""
     ys, xs = np.mgrid[0 : camera.height, 0 : camera.width].astype(np.float32)
-    total, mass = np.zeros_like(current), np.zeros_like(current)
+    total = [np.zeros_like(current) for _ in hypotheses]
+    mass = [np.zeros_like(current) for _ in hypotheses]
     for source in sources:
         matrix, offset = projection(camera, pose, source.camera, source.pose)
         image = _blurred_centre(source, settings.blur_px)
         colour, seen = _look(source, image, *project(matrix, offset, xs, ys, current), settings)
         gain = colour_gain(photo, colour, seen > 0.5)
-        colour, seen = _look(source, image, *project(matrix, offset, xs, ys, hypothesis), settings)
-        difference = np.abs(photo - np.clip(colour * gain, 0, 255)).mean(2)
-        total += seen * np.minimum(difference, np.float32(settings.cap_grey))
-        mass += seen
+        for k, hypothesis in enumerate(hypotheses):
+            colour, seen = _look(source, image, *project(matrix, offset, xs, ys, hypothesis), settings)
+            difference = np.abs(photo - np.clip(colour * gain, 0, 255)).mean(2)
+            total[k] += seen * np.minimum(difference, np.float32(settings.cap_grey))
+            mass[k] += seen
     # Where nobody looks, nothing speaks for or against.
-    return np.asarray(np.where(mass > 0.05, total / np.maximum(mass, 0.05), 0.5 * settings.cap_grey), np.float32)
+    unknown = np.float32(0.5 * settings.cap_grey)
+    return [np.where(m > 0.05, t / np.maximum(m, 0.05), unknown) for t, m in zip(total, mass, strict=True)]
 
 
 def _blurred_centre(source: Source, sigma: float) -> F32:

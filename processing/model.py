@@ -34,6 +34,13 @@ class Camera:
     sigma_focal: float = 0.0
     """Relative standard deviation of the focal length; 0 = trusted."""
 
+    def __post_init__(self) -> None:
+        for name in ("focal_px", "cx", "cy", "sigma_focal"):
+            if not np.isfinite(getattr(self, name)):
+                raise BadInput(f"{name} is not finite", field="camera", remedy="correct the intrinsics")
+        if self.focal_px <= 0:
+            raise BadInput(f"focal_px {self.focal_px:g} is not positive", field="camera", remedy="give it in pixels")
+
     @classmethod
     def centred(cls, width: int, height: int, focal_px: float, sigma_focal: float = 0.0) -> Camera:
         """A camera whose principal point is the image centre."""

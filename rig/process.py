@@ -124,7 +124,7 @@ def process_session(
     monitor = OwnNotices(monitor or Monitor())
     store, selection, folder = check_session(session, target, sources, options, out, overwrite)
     inputs = load_inputs(store, selection, options, monitor)
-    with _no_empty_parent(folder), atomic_folder(folder, overwrite=overwrite) as temporary:
+    with atomic_folder(folder, overwrite=overwrite) as temporary:
         result = process(inputs.sources, inputs.target, inputs.prior, inputs.options, monitor)
         with monitor.task("write"):
             write_result(temporary, result, session=store.path.name)
@@ -251,15 +251,3 @@ def _named_sources(captures: Mapping[str, CaptureDocument], target: str, sources
 
 def _listed(captures: Mapping[str, CaptureDocument]) -> str:
     return ", ".join(captures) or "no captures"
-
-
-@contextlib.contextmanager
-def _no_empty_parent(folder: Path) -> Iterator[None]:
-    """Leave no empty ``results/`` behind a failure."""
-    existed = folder.parent.exists()
-    try:
-        yield
-    finally:
-        if not existed:
-            with contextlib.suppress(OSError):
-                folder.parent.rmdir()

@@ -113,9 +113,10 @@ def refuse_lonely_views(agreement: Agreement, names: Sequence[str]) -> None:
     for v, name in enumerate(names):
         if agreement.agreeing[v] >= MIN_VIEW_MATCHES and agreement.best[v] >= MIN_AGREEMENT:
             continue
+        fit = f"only {agreement.agreeing[v]} of its {agreement.tried[v]} matches with other captures fit any pose"
         raise GeometryRefused(
-            f"capture {name}: only {agreement.agreeing[v]} of its {agreement.tried[v]} matches with other captures fit "
-            f"any pose ({MIN_VIEW_MATCHES} and {MIN_AGREEMENT:.0%} of a pair are needed)",
+            f"capture {name}: {fit if agreement.tried[v] else 'nothing in it matches any other capture'} "
+            f"({MIN_VIEW_MATCHES} matches and {MIN_AGREEMENT:.0%} of a pair are needed)",
             code="too-few-matches",
             remedy="check its turntable_deg and that nothing moved; give the scene more texture or turn in smaller "
             "steps (10-15°), or leave the capture out with --sources",

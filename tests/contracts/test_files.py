@@ -273,6 +273,16 @@ def test_a_read_only_parent_is_a_disk_error(tmp_path: Path, monkeypatch: Patch) 
     assert caught.value.code == "read-only"
 
 
+def test_a_failure_takes_the_parents_along_that_were_made_for_it(tmp_path: Path) -> None:
+    (tmp_path / "there").mkdir()
+    with pytest.raises(KeyboardInterrupt), atomic_folder(tmp_path / "there" / "results" / "run" / "one") as folder:
+        fill(folder, "half")
+        (tmp_path / "there" / "results" / "other").mkdir()
+        raise KeyboardInterrupt
+    assert names(tmp_path / "there") == ["results"]
+    assert names(tmp_path / "there" / "results") == ["other"]
+
+
 def test_the_error_names_the_file_it_is_about(tmp_path: Path) -> None:
     missing = tmp_path / "source.png"
     with pytest.raises(DiskError) as caught, atomic_folder(tmp_path / "result") as folder:

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from lfrig.contracts.errors import BadInput
 from lfrig.processing import geometry
 from lfrig.processing.model import Camera, Pose
 
@@ -124,3 +125,11 @@ def test_resized_camera_sees_the_same_rays(scale):
     for x in (0.0, 10.5, 319.0):
         there = (x + 0.5) * s - 0.5
         assert (there - small.cx) / small.focal_px == pytest.approx((x - CAMERA.cx) / CAMERA.focal_px, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("field", "value"), [("focal_px", np.nan), ("focal_px", 0.0), ("focal_px", -5.0), ("cx", np.inf), ("cy", np.nan)]
+)
+def test_a_camera_with_no_focal_length_or_centre_is_refused_by_name(field: str, value: float) -> None:
+    with pytest.raises(BadInput, match=field):
+        Camera(**{"width": 40, "height": 30, "focal_px": 50.0, "cx": 19.5, "cy": 14.5, field: value})
