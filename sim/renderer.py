@@ -60,7 +60,7 @@ def render_radiance(
         render_numpy.radiance(scene, camera, offsets, rectangles, lamp_rectangles, seeds, side, aperture, out)
         return out
     native.radiance(
-        scene.primitives, scene.texels, scene.table, scene.lamp_points, _lamp_record(scene), lamp_rectangles,
+        scene.primitives, scene.texels, scene.table, scene.lamp_points, lamp_record(scene), lamp_rectangles,
         camera.record(), offsets, rectangles, near, seeds, side, aperture, out, threads,
     )  # fmt: skip
     return out
@@ -90,7 +90,8 @@ def _view_seeds(seed: int, offsets: F64) -> render_numpy.U32:
     return render_numpy.hash32((base + (row * 4099 + col).astype(np.uint32)).astype(np.uint32))
 
 
-def _lamp_record(scene: PackedScene) -> F64:
+def lamp_record(scene: PackedScene) -> F64:
+    """The lamp as the native renderers take it, float64 [17]."""
     lamp = scene.lamp
     return np.array(
         [*lamp.position, *scene.lamp_frame.ravel(), lamp.power, LAMP_HALF_TANGENT, LAMP_GRID, lamp.ambient,
