@@ -14,13 +14,15 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
-from lfrig.contracts.capture import CameraSpec, CaptureDocument, ExposureSpec, OpticsSpec, PoseSpec, ViewsSpec
+from lfrig.contracts.capture import CameraSpec, CaptureDocument, ExposureSpec, OpticsSpec, PoseSpec, RawSpec, ViewsSpec
 from lfrig.contracts.progress import Monitor
 from lfrig.contracts.session import CameraMount, RigCameras, RigSpec
 from lfrig.contracts.truth import TruthCapture
 from lfrig.sim.cache import cached, scene_digest, source_digest
 from lfrig.sim.optics import SimCamera, look_at, pose_spec, rotation_vector, view_offsets
+from lfrig.sim.plenoptic.camera import PlenopticCamera, RawShot
 from lfrig.sim.renderer import VERSION, render_depth, render_radiance
 from lfrig.sim.scene import F32, F64, PackedScene, Scene, pack
 from lfrig.sim.scenes import RigOptics, build_scene, check_scene_name, optics_of
@@ -125,16 +127,30 @@ class SimulatedRig:
 
     # What is true ------------------------------------------------------------------------------------------------
 
-    def _random(self, *what: object) -> np.random.Generator:
+    def random(self, *what: object) -> np.random.Generator:
+        """A generator of its own for whatever ``what`` names."""
         return np.random.default_rng([self.seed, zlib.crc32(repr((self.scene_name, *what)).encode())])
+
+    @property
+    def view_pixel_m(self) -> float:
+        """Width on the sensor of a pixel of the light-field camera's views [m]."""
+        return FULL_WIDTH / (1000 * PIXELS_PER_MM * self.width)
+
+    def packed(self) -> PackedScene:
+        """The scene as the renderers take it."""
+        return self._pack()
+
+    def rendered(self, key: tuple[object, ...], make: Callable[[], NDArray[np.generic]]) -> NDArray[np.generic]:
+        """``make()`` through the rig's cache; ``key`` says all that it depends on besides the scene."""
+        return cached(self.cache_dir, (key[0], key[1], *self._digest, *key[2:]), make)
 
     def true_angle_deg(self, commanded_deg: float) -> float:
         """Where the plate really stands."""
-        return commanded_deg + TURNTABLE_SIGMA_DEG * self._random("angle", round(commanded_deg, 6)).standard_normal()
+        return commanded_deg + TURNTABLE_SIGMA_DEG * self.random("angle", round(commanded_deg, 6)).standard_normal()
 
     def _mount(self, target: bool) -> tuple[F64, F64]:
         """True (R, t) of a camera to the plate at angle 0. The target camera stands a little aside and above."""
-        rng = self._random("mount", target)
+        rng = self.random("mount", target)
         elevation = rng.uniform(*self.optics.elevation_deg) + (rng.uniform(1.0, 2.5) if target else 0.0)
         azimuth = rng.uniform(-2.0, 2.0) if target else 0.0
         distance = rng.uniform(*self.optics.distance_m) + (rng.uniform(0.0, 0.02) if target else 0.0)
@@ -143,10 +159,14 @@ class SimulatedRig:
         aim = np.array([0.0, 0.0, 0.040]) + rng.normal(0, 0.002, 3)
         return look_at(centre, aim)
 
-    def light_field_camera(self, index: int, commanded_deg: float) -> SimCamera:
+    def lens(self, index: int | str) -> tuple[float, float]:
+        """True focal length [mm] and focus distance [m] of the light-field camera at a shot."""
+        rng = self.random("lens", index)
+        return rng.uniform(*self.optics.zoom_mm), rng.uniform(*self.optics.focus_m)
+
+    def light_field_camera(self, index: int | str, commanded_deg: float) -> SimCamera:
         """True state of the light-field camera at its ``index``-th shot: each has its own zoom and focus."""
-        rng = self._random("lens", index)
-        zoom_mm, focus_m = rng.uniform(*self.optics.zoom_mm), rng.uniform(*self.optics.focus_m)
+        zoom_mm, focus_m = self.lens(index)
         focal_px = _image_distance_mm(zoom_mm, focus_m) * PIXELS_PER_MM * self.width / FULL_WIDTH
         still = SimCamera(
             self.width, self.height, focal_px, zoom_mm * BASELINE_PER_FOCAL / 1000, focus_m, *self._mount(False)
@@ -156,7 +176,7 @@ class SimulatedRig:
     def target_camera(self, commanded_deg: float) -> SimCamera:
         """True state of the target camera; baseline and focus are those of the light field to be made."""
         width, height = target_size(self.width, self.height)
-        zoom_mm = self._random("target lens").uniform(*self.optics.target_mm)
+        zoom_mm = self.random("target lens").uniform(*self.optics.target_mm)
         focal_px = _image_distance_mm(zoom_mm, REQUEST_FOCUS_M) * PIXELS_PER_MM * width / FULL_WIDTH
         baseline = REQUEST_BF * width / FULL_WIDTH / focal_px
         still = SimCamera(width, height, focal_px, baseline, REQUEST_FOCUS_M, *self._mount(True))
@@ -164,7 +184,7 @@ class SimulatedRig:
 
     def exposure(self, index: int, *, target: bool = False) -> Exposure:
         """Exposure and white balance of a shot: they drift from shot to shot, and the target camera differs more."""
-        rng = self._random("exposure", index, target)
+        rng = self.random("exposure", index, target)
         gain = 1.5 * rng.uniform(0.72, 1.25) if target else 1.5 * rng.uniform(0.85, 1.18)
         red, blue = rng.uniform(0.90, 1.10, 2) if target else rng.uniform(0.94, 1.06, 2)
         return Exposure(float(gain), (float(red), 1.0, float(blue)))
@@ -184,7 +204,7 @@ class SimulatedRig:
 
     def _recorded_mount(self, target: bool) -> PoseSpec:
         rotation, translation = self._mount(target)
-        rng = self._random("mount error", target)
+        rng = self.random("mount error", target)
         centre = -rotation.T @ translation + MOUNT_SIGMA_M * rng.standard_normal(3)
         wrong = rotation_vector(np.deg2rad(MOUNT_SIGMA_DEG) * rng.standard_normal(3)) @ rotation
         return pose_spec(wrong, -wrong @ centre, sigma_deg=MOUNT_SIGMA_DEG, sigma_m=MOUNT_SIGMA_M)
@@ -192,11 +212,11 @@ class SimulatedRig:
     def _recorded_camera(self, camera: SimCamera, *what: object) -> CameraSpec:
         if self.poses == "given":
             return camera.camera_spec(sigma_f=0.0)
-        error = FOCAL_SIGMA * float(np.clip(self._random("focal error", *what).standard_normal(), -2, 2))
+        error = FOCAL_SIGMA * float(np.clip(self.random("focal error", *what).standard_normal(), -2, 2))
         return camera.camera_spec(fx=camera.focal_px * (1 + error), sigma_f=FOCAL_SIGMA)
 
     def _recorded_optics(self, camera: SimCamera, *what: object) -> OpticsSpec:
-        error = OPTICS_SIGMA * np.clip(self._random("optics error", *what).standard_normal(2), -2, 2)
+        error = OPTICS_SIGMA * np.clip(self.random("optics error", *what).standard_normal(2), -2, 2)
         return OpticsSpec(
             baseline_m=camera.baseline_m * (1 + float(error[0])),
             focus_distance_m=camera.focus_m * (1 + float(error[1])),
@@ -210,21 +230,42 @@ class SimulatedRig:
 
     def shoot_light_field(self, index: int, commanded_deg: float, monitor: Monitor | None = None) -> SimulatedCapture:
         """The light-field camera's ``index``-th shot, with the plate commanded to ``commanded_deg``."""
+        truth = self.light_field_truth(index, commanded_deg, monitor)
+        assert truth.views is not None
+        document = self.light_field_document(index, commanded_deg, views=ViewsSpec(rows=ROWS, cols=COLS))
+        return SimulatedCapture(self._noisy(truth.views, "light field", index), document, truth)
+
+    def light_field_document(
+        self, index: int, commanded_deg: float, *, views: ViewsSpec | None = None, raw: RawSpec | None = None
+    ) -> CaptureDocument:
+        """What is recorded of the light-field camera's ``index``-th shot, whichever way its pixels are."""
         camera = self.light_field_camera(index, commanded_deg)
-        exposure = self.exposure(index)
-        views = self._views(camera, exposure, LIGHT_FIELD_SAMPLES, 1.0, ("light field", index), monitor)
-        document = CaptureDocument(
+        return CaptureDocument(
             kind="light_field",
-            views=ViewsSpec(rows=ROWS, cols=COLS),
+            views=views,
+            raw=raw,
             camera=self._recorded_camera(camera, "light field", index),
             optics=self._recorded_optics(camera, index),
-            exposure=_exposure_spec(exposure),
+            exposure=_exposure_spec(self.exposure(index)),
             depth_range_m=RIG_DEPTH_RANGE_M,
             turntable_deg=commanded_deg,
             pose=self._recorded_pose(camera),
         )
-        truth = self._truth(camera, "light_field", commanded_deg, views)
-        return SimulatedCapture(self._noisy(views, "light field", index), document, truth)
+
+    def light_field_truth(
+        self, index: int, commanded_deg: float, monitor: Monitor | None = None, *, views: bool = True
+    ) -> CaptureTruth:
+        """What really was at that shot, with or without its views."""
+        camera, exposure = self.light_field_camera(index, commanded_deg), self.exposure(index)
+        what = ("light field", index)
+        shown = self._views(camera, exposure, LIGHT_FIELD_SAMPLES, 1.0, what, monitor) if views else None
+        return self._truth(camera, "light_field", commanded_deg, shown)
+
+    def shoot_raw(
+        self, index: int, commanded_deg: float, monitor: Monitor | None = None, *, truth_views: bool = True
+    ) -> RawShot:
+        """The same shot as `shoot_light_field` takes, as an Illum's raw file; see `PlenopticCamera.shoot`."""
+        return PlenopticCamera(self).shoot(index, commanded_deg, monitor, truth_views=truth_views)
 
     def shoot_photo(
         self, index: int, commanded_deg: float, monitor: Monitor | None = None, *, truth_views: bool = True
@@ -257,8 +298,8 @@ class SimulatedRig:
 
     def _truth(self, camera: SimCamera, kind: str, commanded_deg: float, views: U8 | None) -> CaptureTruth:
         centre = np.zeros((1, 2))
-        key = ("depth", VERSION, *self._digest, camera.record().tobytes(), camera.width, camera.height)
-        depth = cached(self.cache_dir, key, lambda: render_depth(self._pack(), camera, centre, threads=self.threads)[0])
+        key = ("depth", VERSION, camera.record().tobytes(), camera.width, camera.height)
+        depth = self.rendered(key, lambda: render_depth(self._pack(), camera, centre, threads=self.threads)[0])
         record = TruthCapture(
             kind=kind,
             camera=camera.camera_spec(sigma_f=0.0),
@@ -293,8 +334,8 @@ class SimulatedRig:
             return out
 
         size = (camera.width, camera.height, rows, cols)
-        key = ("views", VERSION, *self._digest, camera.record().tobytes(), size, samples, aperture, seed, exposure)
-        return np.asarray(cached(self.cache_dir, key, make), np.uint8)
+        key = ("views", VERSION, camera.record().tobytes(), size, samples, aperture, seed, exposure)
+        return np.asarray(self.rendered(key, make), np.uint8)
 
 
 def _image_distance_mm(focal_mm: float, focus_m: float) -> float:

@@ -30,7 +30,7 @@ def render_lenslets(
     samples: int = 4,
     seed: int = 0,
     threads: int = 0,
-    on_rows: Callable[[int], None] | None = None,
+    on_band: Callable[[], None] | None = None,
 ) -> F32:
     """What each pixel of the sensor receives of its own colour, float32 [Hs, Ws] linear radiance.
 
@@ -48,8 +48,8 @@ def render_lenslets(
         Rays per pixel: 1, 4, 9, 16 or 25.
     threads : int
         0 = all cores. The picture does not depend on it.
-    on_rows : callable, optional
-        Told the number of rows done since the last call; may raise to cancel.
+    on_band : callable, optional
+        Called after every `ROWS_AT_ONCE` rows; may raise to cancel.
 
     Raises
     ------
@@ -78,6 +78,6 @@ def render_lenslets(
                 scene.primitives, scene.texels, scene.table, scene.lamp_points, lamp_record(scene), lamp_rectangles,
                 camera.record(), record, rectangles[0], near[0], colours, seed, side, row, height, part, threads,
             )  # fmt: skip
-        if on_rows is not None:
-            on_rows(len(part))
+        if on_band is not None:
+            on_band()
     return out
