@@ -6,6 +6,7 @@ namespace nb = nanobind;
 void register_fusion(nb::module_ &m);
 void register_plane_cost(nb::module_ &m);
 void register_sgm(nb::module_ &m);
+void register_unpack(nb::module_ &m);
 void register_warp(nb::module_ &m);
 
 NB_MODULE(_native, m) {
@@ -13,5 +14,6 @@ NB_MODULE(_native, m) {
     register_fusion(m);
     register_plane_cost(m);
     register_sgm(m);
+    register_unpack(m);
     register_warp(m);
 }
