@@ -37,8 +37,8 @@ class RawMetadata:
     """A shot's metadata, checked; None = the file does not say.
 
     Lengths in metres, angles in radians. ``black`` and ``white`` are sensor values, ``white_balance`` gains (green 1 in
-    practice). ``colour_matrix`` takes white-balanced linear camera RGB to linear sRGB (its rows). ``mla_rotation_rad`` and ``sensor_offset_m`` (x, y, z) are
-    as recorded. References are ``sha1-…`` strings.
+    practice). ``colour_matrix`` takes white-balanced linear camera RGB to linear sRGB, row by row.
+    ``mla_rotation_rad`` and ``sensor_offset_m`` (x, y, z) are as recorded. References are ``sha1-…`` strings.
     """
 
     model: str
@@ -127,8 +127,10 @@ def parse_metadata(
         bayer=_bayer(found, nominal, path),
         black=black,
         white=white,
-        pixel_pitch_m=_known(sensor.pixel_pitch, nominal and nominal.pixel_pitch_m, "devices.sensor.pixelPitch", path),
-        lens_pitch_m=_known(mla.lens_pitch, nominal and nominal.lens_pitch_m, "devices.mla.lensPitch", path),
+        pixel_pitch_m=_known(
+            sensor.pixel_pitch, nominal.pixel_pitch_m if nominal else None, "devices.sensor.pixelPitch", path
+        ),
+        lens_pitch_m=_known(mla.lens_pitch, nominal.lens_pitch_m if nominal else None, "devices.mla.lensPitch", path),
         mla_scale=(mla.scale_factor.x, mla.scale_factor.y),
         mla_rotation_rad=mla.rotation,
         sensor_offset_m=(offset.x, offset.y, offset.z),
@@ -178,7 +180,7 @@ def _known(value: float | None, nominal: float | None, name: str, path: Path | s
 def _packing(found: layouts.Metadata, nominal: CameraFigures | None, path: Path | str) -> tuple[int, Packing]:
     places = (found.image.pixel_packing, found.image.raw_details.pixel_packing)
     bits = next((place.bits_per_pixel for place in places if place.bits_per_pixel), found.devices.sensor.bits_per_pixel)
-    bits = int(_known(bits, nominal and nominal.bits, "image.pixelPacking.bitsPerPixel", path))
+    bits = int(_known(bits, nominal.bits if nominal else None, "image.pixelPacking.bitsPerPixel", path))
     recorded = next((place.endianness for place in places if place.endianness), None)
     usual = next((packing for depth, packing in PACKED_GROUPS if depth == bits), None)
     packing = recorded or usual

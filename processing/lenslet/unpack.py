@@ -28,8 +28,8 @@ def unpack(payload: memoryview | bytes, metadata: RawMetadata, path: Path | str,
     expected = packed_size(count, metadata.bits, metadata.packing)
     if len(payload) != expected:
         raise BadInput(
-            f"has {len(payload)} bytes, but {metadata.width}×{metadata.height} px of {metadata.bits} bits are {expected}"
-            + _other_depth(len(payload), count),
+            f"has {len(payload)} bytes{_other_depth(len(payload), count)}, but {metadata.width}×{metadata.height} px "
+            f"of {metadata.bits} bits are {expected}",
             path=path, field=field, code="wrong-size", remedy="copy the file from the camera again",
         )  # fmt: skip
     values = _values(np.frombuffer(payload, np.uint8), count, metadata)
@@ -63,4 +63,4 @@ def _values(packed: U8, count: int, metadata: RawMetadata) -> U16:
 def _other_depth(size: int, count: int) -> str:
     """What would explain ``size`` bytes."""
     depths = sorted({bits for bits, packing in PACKED_GROUPS if packed_size(count, bits, packing) == size})
-    return f" (they would be {depths[0]} bits)" if depths else ""
+    return f" (as {depths[0]} bits would be)" if depths else ""
