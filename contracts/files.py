@@ -10,6 +10,7 @@ import os
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
+from typing import BinaryIO
 
 from lfrig.contracts.errors import BadInput, DiskError
 
@@ -62,8 +63,10 @@ def sync_folder(folder: Path) -> None:
         os.close(descriptor)
 
 
-def atomic_write_bytes(path: Path, data: bytes) -> None:
-    """Write a file so that a crash leaves the old one or the new one: temp, fsync, rename, folder fsync.
+@contextlib.contextmanager
+def atomic_writer(path: Path) -> Iterator[BinaryIO]:
+    """A stream to write a file with, so that a crash or an exception leaves the old one: temp, fsync, rename, folder
+    fsync.
 
     Raises
     ------
@@ -75,7 +78,7 @@ def atomic_write_bytes(path: Path, data: bytes) -> None:
         temporary = _beside(path, "tmp")
         try:
             with temporary.open("wb") as stream:
-                stream.write(data)
+                yield stream
                 stream.flush()
                 os.fsync(stream.fileno())
             temporary.replace(path)
@@ -83,6 +86,12 @@ def atomic_write_bytes(path: Path, data: bytes) -> None:
         finally:
             with contextlib.suppress(OSError):
                 temporary.unlink(missing_ok=True)
+
+
+def atomic_write_bytes(path: Path, data: bytes) -> None:
+    """Write a whole file as `atomic_writer` does."""
+    with atomic_writer(path) as stream:
+        stream.write(data)
 
 
 def atomic_write_text(path: Path, text: str) -> None:

@@ -9,10 +9,13 @@ stopped, the journal says why, and the session holds whole captures only.
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
+from pathlib import Path
 
+from lfrig.contracts.capture import CaptureDocument
 from lfrig.contracts.errors import CaptureError, Interrupted, LfrigError, MotionError
 from lfrig.contracts.files import sha256_files
 from lfrig.contracts.progress import Monitor
@@ -178,12 +181,33 @@ def _store(frame: Frame, shot: _Shot, store: SessionStore) -> str:
             f"the camera delivered a {frame.document.kind} where a {shot.kind} was due", code="wrong-frame",
             remedy="check which camera is which",
         )  # fmt: skip
-    if frame.pixels is None:
-        raise CaptureError("raw frames are not in this version", code="raw-frame", remedy="record views")
     document = frame.document.model_copy(update={"turntable_deg": shot.angle_deg})
+    if frame.raw is not None:
+        return _store_raw(frame.raw, document, store)
+    if frame.pixels is None:
+        raise CaptureError("the camera delivered no picture", code="no-picture", remedy="take it again")
     if shot.kind == "photo":
         return store.add_photo_array(frame.pixels, document)
     return store.add_light_field(frame.pixels, document)  # type: ignore[arg-type]  # views have 8 bits
+
+
+def _store_raw(raw: bytes, document: CaptureDocument, store: SessionStore) -> str:
+    """The file as it came, under the name that the document gives it."""
+    spec = document.raw
+    if document.kind != "light_field" or spec is None:
+        raise CaptureError(
+            "the camera delivered a raw file that its record does not name", code="raw-frame",
+            remedy="update the camera's driver",
+        )  # fmt: skip
+    if spec.sha256 is not None and hashlib.sha256(raw).hexdigest() != spec.sha256:
+        raise CaptureError("the raw file arrived damaged", code="damaged-frame", remedy="fetch it again")
+    path = spec.path
+
+    def build(folder: Path) -> CaptureDocument:
+        (folder / path).write_bytes(raw)
+        return document
+
+    return store.add_captures([build])[0]
 
 
 def _journal_failure(journal: Journal, error: BaseException, ids: list[str]) -> None:

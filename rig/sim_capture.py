@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tarfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,7 +11,7 @@ import numpy as np
 
 from lfrig.contracts.capture import ViewsSpec
 from lfrig.contracts.errors import BadInput, UsageError
-from lfrig.contracts.files import atomic_folder
+from lfrig.contracts.files import atomic_folder, atomic_writer
 from lfrig.contracts.progress import Monitor
 from lfrig.contracts.truth import TruthDocument
 from lfrig.rig.controller import Devices, run_plan
@@ -20,10 +21,14 @@ from lfrig.rig.session.views import write_views
 
 if TYPE_CHECKING:
     from lfrig.drivers.protocols import Frame
+    from lfrig.sim.devices import Record
+    from lfrig.sim.plenoptic.camera import PlenopticCamera
     from lfrig.sim.rig import CaptureTruth, Poses
 
 SIZES = {"tiny": (96, 64), "small": (135, 94), "medium": (270, 188), "full": (541, 376)}
 """Width and height of a light-field view [px]."""
+DEFAULT_RECORD: Record = "views"
+CALIBRATION = "calibration"
 TRUTH_FILE = "truth.json"
 
 
@@ -37,6 +42,7 @@ def capture_simulated(
     seed: int = 0,
     noise_sigma: float = 0.0,
     poses: Poses = "prior",
+    record: Record | None = None,
     threads: int = 0,
     monitor: Monitor | None = None,
     cache_dir: Path | None = None,
@@ -49,8 +55,11 @@ def capture_simulated(
         A name of `SIZES`, or width and height of a light-field view; the photo is about as wide, 3:2.
     angles_deg, target_deg
         As in `CapturePlan`; None = no photo.
+    record : {"views", "raw"}, optional
+        Whether light fields are stored as views or as raw files, these with the camera's calibration;
+        `DEFAULT_RECORD` when None.
     noise_sigma, poses, cache_dir
-        As in `lfrig.sim.rig.SimulatedRig`.
+        As in `lfrig.sim.rig.SimulatedRig`. Raw files have the noise of their sensor instead.
 
     Raises
     ------
@@ -62,6 +71,7 @@ def capture_simulated(
         Captures that were whole by then are kept, with their truth.
     """
     from lfrig.sim.devices import SimulatedLightFieldCamera, SimulatedTargetCamera, SimulatedTurntable
+    from lfrig.sim.plenoptic.camera import PlenopticCamera
     from lfrig.sim.rig import SimulatedRig
 
     monitor = monitor or Monitor()
@@ -73,8 +83,11 @@ def capture_simulated(
     truth = _open_truth(Path(session_path), scene, seed)
     store = SessionStore.create(session_path, rig.rig_spec())
     turntable = SimulatedTurntable()
+    record = record or DEFAULT_RECORD
+    if record == "raw":
+        _write_calibration(store.path / CALIBRATION, PlenopticCamera(rig), len(plan.angles_deg))
     cameras = {
-        "light_field": SimulatedLightFieldCamera(rig, turntable, monitor),
+        "light_field": SimulatedLightFieldCamera(rig, turntable, monitor, record=record),
         "photo": SimulatedTargetCamera(rig, turntable, monitor),
     }
 
@@ -94,6 +107,18 @@ def _size(size: str | tuple[int, int]) -> tuple[int, int]:
     if size not in SIZES:
         raise UsageError(f"there is no size {size!r}", code="unknown-size", remedy=f"choose one of {', '.join(SIZES)}")
     return SIZES[size]
+
+
+def _write_calibration(folder: Path, camera: PlenopticCamera, shots: int) -> None:
+    """The camera's archive with white images of this many shots, unless the session has one of as many."""
+    path = folder / f"{camera.calibration_name}.tar"
+    if path.exists():
+        with tarfile.open(path) as archive:
+            # One white image is of no shot.
+            if sum(name.endswith(".RAW") for name in archive.getnames()) > shots:
+                return
+    with atomic_writer(path) as stream:
+        camera.write_calibration(stream, shots)
 
 
 def _open_truth(session: Path, scene: str, seed: int) -> TruthDocument:

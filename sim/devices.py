@@ -8,8 +8,10 @@ from typing import Literal
 from lfrig.contracts.errors import CaptureError, MotionError
 from lfrig.contracts.progress import Monitor
 from lfrig.drivers.protocols import DeviceIdentity, Frame, MotionState, TurntableStatus
+from lfrig.sim.plenoptic.camera import PlenopticCamera, RawShot
 from lfrig.sim.rig import COLS, ROWS, CaptureTruth, SimulatedCapture, SimulatedRig
 
+Record = Literal["views", "raw"]
 LIMITS_DEG = (-180.0, 360.0)
 TOLERANCE_DEG = 0.01
 
@@ -76,7 +78,7 @@ class _SimulatedCamera:
     def __init__(self, rig: SimulatedRig, turntable: SimulatedTurntable, monitor: Monitor | None = None) -> None:
         self._rig, self._turntable, self._monitor = rig, turntable, monitor or Monitor()
         self._angles: dict[str, float] = {}
-        self._fetched: dict[str, SimulatedCapture] = {}
+        self._fetched: dict[str, SimulatedCapture | RawShot] = {}
         self._armed = False
 
     def identity(self) -> DeviceIdentity:
@@ -111,9 +113,11 @@ class _SimulatedCamera:
             raise CaptureError(
                 f"the camera holds no picture {frame_id!r}", code="no-such-frame", remedy="take it again"
             )
-        with self._monitor.task(f"render {self.role.removesuffix('_camera').replace('_', ' ')}", ROWS * COLS):
+        with self._monitor.task(f"render {self.role.removesuffix('_camera').replace('_', ' ')}", self._steps):
             capture = self._shoot(int(frame_id), self._angles[frame_id])
         self._fetched[frame_id] = capture
+        if isinstance(capture, RawShot):
+            return Frame(frame_id, capture.document, raw=capture.raw)
         return Frame(frame_id, capture.document, capture.pixels)
 
     def take_truth(self, frame_id: str) -> CaptureTruth:
@@ -124,17 +128,39 @@ class _SimulatedCamera:
         """Disarm."""
         self._armed = False
 
-    def _shoot(self, index: int, angle_deg: float) -> SimulatedCapture:
+    @property
+    def _steps(self) -> int:
+        """How often a shot advances the monitor."""
+        return ROWS * COLS
+
+    def _shoot(self, index: int, angle_deg: float) -> SimulatedCapture | RawShot:
         raise NotImplementedError
 
 
 class SimulatedLightFieldCamera(_SimulatedCamera):
-    """Records views; zoom, focus and exposure differ from shot to shot."""
+    """Records views, or raw files as a plenoptic camera; zoom, focus and exposure differ from shot to shot."""
 
     role = "light_field_camera"
-    makes_raw = False
 
-    def _shoot(self, index: int, angle_deg: float) -> SimulatedCapture:
+    def __init__(
+        self, rig: SimulatedRig, turntable: SimulatedTurntable, monitor: Monitor | None = None,
+        *, record: Record = "views",
+    ) -> None:  # fmt: skip
+        super().__init__(rig, turntable, monitor)
+        self._plenoptic = PlenopticCamera(rig) if record == "raw" else None
+
+    @property
+    def makes_raw(self) -> bool:
+        """Whether frames are raw files."""
+        return self._plenoptic is not None
+
+    @property
+    def _steps(self) -> int:
+        return super()._steps if self._plenoptic is None else self._plenoptic.steps
+
+    def _shoot(self, index: int, angle_deg: float) -> SimulatedCapture | RawShot:
+        if self._plenoptic is not None:
+            return self._plenoptic.shoot(index, angle_deg, self._monitor)
         return self._rig.shoot_light_field(index, angle_deg, self._monitor)
 
 

@@ -253,13 +253,14 @@ class SimulatedRig:
         )
 
     def light_field_truth(
-        self, index: int, commanded_deg: float, monitor: Monitor | None = None, *, views: bool = True
-    ) -> CaptureTruth:
-        """What really was at that shot, with or without its views."""
+        self, index: int, commanded_deg: float, monitor: Monitor | None = None, *, views: bool = True,
+        noise_sigma: float | None = None,
+    ) -> CaptureTruth:  # fmt: skip
+        """What really was at that shot, with or without its views; ``noise_sigma`` where it is not the rig's own."""
         camera, exposure = self.light_field_camera(index, commanded_deg), self.exposure(index)
         what = ("light field", index)
         shown = self._views(camera, exposure, LIGHT_FIELD_SAMPLES, 1.0, what, monitor) if views else None
-        return self._truth(camera, "light_field", commanded_deg, shown)
+        return self._truth(camera, "light_field", commanded_deg, shown, noise_sigma)
 
     def shoot_raw(
         self, index: int, commanded_deg: float, monitor: Monitor | None = None, *, truth_views: bool = True
@@ -296,7 +297,9 @@ class SimulatedRig:
     def _noisy(self, pixels: U8, *what: object) -> U8:
         return add_noise(pixels, self.noise_sigma, [self.seed, zlib.crc32(repr(("noise", *what)).encode())])
 
-    def _truth(self, camera: SimCamera, kind: str, commanded_deg: float, views: U8 | None) -> CaptureTruth:
+    def _truth(
+        self, camera: SimCamera, kind: str, commanded_deg: float, views: U8 | None, noise_sigma: float | None = None
+    ) -> CaptureTruth:
         centre = np.zeros((1, 2))
         key = ("depth", VERSION, camera.record().tobytes(), camera.width, camera.height)
         depth = self.rendered(key, lambda: render_depth(self._pack(), camera, centre, threads=self.threads)[0])
@@ -307,7 +310,7 @@ class SimulatedRig:
             pose=camera.pose_spec(),
             turntable_deg=self.true_angle_deg(commanded_deg),
             views=ViewsSpec(rows=ROWS, cols=COLS) if views is not None else None,
-            noise_sigma=self.noise_sigma,
+            noise_sigma=self.noise_sigma if noise_sigma is None else noise_sigma,
         )
         return CaptureTruth(record, np.asarray(depth, np.float32), views)
 

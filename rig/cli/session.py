@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from lfrig.rig.ingest import IngestedCapture
     from lfrig.rig.plan import CapturePlan
+    from lfrig.sim.devices import Record
 
 DEFAULT_ANGLES = "0:60:15"
 KINDS = {"light-field": "light_field", "photo": "photo"}
@@ -42,14 +43,19 @@ def capture(
     scene: Annotated[str, typer.Option(help="Simulated scene; a wrong name lists them.")] = "figurines",
     size: Annotated[str, typer.Option(help="tiny | small | medium | full")] = "small",
     seed: Annotated[int, typer.Option(min=0, help="Of everything that is random.")] = 0,
-    record: Annotated[str, typer.Option(help="views (raw: not in this version)")] = "views",
-    noise: Annotated[float, typer.Option(metavar="σ", min=0, help="Noise of the pixels [grey levels].")] = 0.0,
+    record: Annotated[
+        str | None, typer.Option(metavar="raw|views", help="Light fields as raw files or as views; default: views.")
+    ] = None,
+    noise: Annotated[
+        float, typer.Option(metavar="σ", min=0, help="Noise of photo and views [grey levels]; raw has its own.")
+    ] = 0.0,
     resume: Annotated[bool, typer.Option("--resume", hidden=True)] = False,
     force: Annotated[bool, typer.Option("--force", help="Shoot steps above 30° too.")] = False,
 ) -> None:
     """Shoot a session: light fields at plate angles, then the photo."""
     parse.refuse_absent("--resume", resume)
-    parse.one_of("--record", record, ("views",), ("raw",))
+    if record is not None:
+        parse.one_of("--record", record, ("raw", "views"))
     if rig != "sim":
         raise NotInThisVersion(f"--rig {rig}", remedy="use --rig sim")
     if plan is not None and (angles is not None or target_deg is not None):
@@ -61,7 +67,7 @@ def capture(
     wanted.check_steps(run.monitor, force=force)
     store = capture_simulated(
         session, scene=scene, size=size, angles_deg=wanted.angles_deg, target_deg=wanted.target_deg, seed=seed,
-        noise_sigma=noise, threads=run.threads, monitor=run.monitor,
+        noise_sigma=noise, record=cast("Record | None", record), threads=run.threads, monitor=run.monitor,
     )  # fmt: skip
     document = {"session": store.path, "truth": store.truth_path, "captures": list(store.captures())}
     run.emit(document, lambda console: console.print(f"{store.path}", markup=False, soft_wrap=True))

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
 SAMPLES = 4
 TRUE_VIEWS = 49
+DECODED_NOISE_LEVELS = 2.0
+"""About what the sensor's noise is in a decoded view [grey levels]; truth.json says it."""
 RAW_FILE = "capture.lfr"
 NEIGHBOUR = "neighbour"
 """A zoom and focus that no shot has: its white image is in the archive so that choosing one means something."""
@@ -61,7 +63,8 @@ class PlenopticCamera:
         self, rig: SimulatedRig, *, model: Model = "ILLUM", noise: bool = True, embed_white: bool = False
     ) -> None:
         self.rig, self.noise, self.embed_white = rig, noise, embed_white
-        self.body: Body = make_body(model, rig.width, rig.height, rig.view_pixel_m, rig.random("body", model))
+        specimen = rig.random("body", model, rig.width, rig.height)
+        self.body: Body = make_body(model, rig.width, rig.height, rig.view_pixel_m, specimen)
 
     @property
     def steps(self) -> int:
@@ -96,12 +99,11 @@ class PlenopticCamera:
             exposure_s=_seconds(known), iso=100.0, time=f"2026-01-01T12:{index:02d}:00.000Z",
             gravity=self._gravity(index, commanded_deg),
         )  # fmt: skip
-        raw = shot_file(
-            self.body, values, metadata, geometry_ref=reference(self._geometry(index)), white=white
-        )
+        raw = shot_file(self.body, values, metadata, geometry_ref=reference(self._geometry(index)), white=white)
         spec = spec.model_copy(update={"sha256": hashlib.sha256(raw).hexdigest()})
         document = known.model_copy(update={"raw": spec})
-        truth = self.rig.light_field_truth(index, commanded_deg, monitor, views=truth_views)
+        noise = DECODED_NOISE_LEVELS if self.noise else 0.0
+        truth = self.rig.light_field_truth(index, commanded_deg, monitor, views=truth_views, noise_sigma=noise)
         return RawShot(raw, document, truth, lattice)
 
     def radiance(self, index: int, commanded_deg: float, monitor: Monitor | None = None) -> F32:

@@ -49,9 +49,7 @@ def reference(data: bytes) -> str:
     return REFERENCE_PREFIX + hashlib.sha1(data).hexdigest()
 
 
-def shot_file(
-    body: Body, values: Values, metadata: Json, *, geometry_ref: str, white: Values | None = None
-) -> bytes:
+def shot_file(body: Body, values: Values, metadata: Json, *, geometry_ref: str, white: Values | None = None) -> bytes:
     """A whole shot as the body's model writes it: Illum ``frames``, its table last; F01 ``picture``, its table first.
 
     ``white`` goes into the file as its modulation data, for cameras without calibration.

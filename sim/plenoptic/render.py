@@ -59,7 +59,7 @@ def render_lenslets(
     side = round(samples**0.5)
     if side * side != samples or not 1 <= side <= 5:
         raise ValueError(f"samples must be 1, 4, 9, 16 or 25, got {samples}")
-    height, width = shape
+    height = shape[0]
     # The pupil that a lens's pixels see: to the corner of its hexagon, and half a pixel's diagonal more.
     aperture = 2 * (lattice.pitch_px * max(1.0, lattice.stretch) / np.sqrt(3) + np.sqrt(0.5))
     rectangles, near = culling.view_rectangles(scene, camera, np.zeros((1, 2)), aperture)

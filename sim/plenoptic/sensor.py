@@ -94,4 +94,4 @@ def read_out(signal: F32, body: Body, rng: np.random.Generator | None) -> U16:
 
 def _quantise(signal: NDArray[np.float64], figures: CameraFigures) -> U16:
     levels = figures.black + (figures.white - figures.black) * np.minimum(signal, 1.0)
-    return np.clip(np.rint(levels), 0, 2**figures.bits - 1).astype(np.uint16)
+    return np.asarray(np.clip(np.rint(levels), 0, 2**figures.bits - 1), np.uint16)

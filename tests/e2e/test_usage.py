@@ -54,7 +54,7 @@ def test_nonsense(lfrig, arguments: list[str]) -> None:
     ["evaluate", "S", "--preset", "fast,balanced"],
     ["export", "R", "--format", "ply"], ["export", "R", "--format", "mp4"],
     ["ingest", "S", "X", "--calibration", "caldata.tar"],
-    ["capture", "S", "--rig", "rig.toml"], ["capture", "S", "--rig", "sim", "--record", "raw"],
+    ["capture", "S", "--rig", "rig.toml"],
     ["capture", "S", "--rig", "sim", "--resume"],
     ["bench", "kernels"], ["bench", "ablation"],
 ])  # fmt: skip
