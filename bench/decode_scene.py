@@ -199,5 +199,5 @@ def _stripes(height: int) -> Iterator[slice]:
 
 
 def to_linear(encoded: F32) -> F32:
-    """sRGB values 0..1 to linear light (IEC 61966-2-1)."""
+    """Linear light of sRGB values 0..1 (IEC 61966-2-1)."""
     return np.asarray(np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4), np.float32)

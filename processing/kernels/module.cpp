@@ -4,6 +4,7 @@
 namespace nb = nanobind;
 
 void register_fusion(nb::module_ &m);
+void register_lenslet(nb::module_ &m);
 void register_plane_cost(nb::module_ &m);
 void register_sgm(nb::module_ &m);
 void register_unpack(nb::module_ &m);
@@ -12,6 +13,7 @@ void register_warp(nb::module_ &m);
 NB_MODULE(_native, m) {
     m.doc() = "lfrig's native kernels; each has a NumPy twin in the Python file of its name.";
     register_fusion(m);
+    register_lenslet(m);
     register_plane_cost(m);
     register_sgm(m);
     register_unpack(m);

@@ -67,7 +67,8 @@ class HexLattice:
 
     def centres(self, i: NDArray[np.integer[Any]], j: NDArray[np.integer[Any]]) -> F64:
         """Centres (x, y) of lenses [px], float64 [..., 2]; any integers, negative ones too."""
-        local = np.stack([(i + 0.5 * np.mod(j, 2)) * self.pitch_px, j * self.row_rise_px], -1)
+        along, up = np.broadcast_arrays((i + 0.5 * np.mod(j, 2)) * self.pitch_px, j * self.row_rise_px)
+        local = np.stack([along, up], -1)
         return np.asarray(local @ self.axes.T + np.asarray(self.origin))
 
     def as_dict(self) -> dict[str, Any]:
