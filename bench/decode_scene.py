@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
 U16 = NDArray[np.uint16]
 
 OVERSAMPLING = 8
@@ -53,7 +54,7 @@ class SensorModel:
         """(W, H) of a view."""
         return round(self.width / self.pitch), round(self.height / self.pitch)
 
-    def lens_of(self, x: F32, y: F32) -> tuple[F32, F32, F32, F32]:
+    def lens_of(self, x: F64, y: F64) -> tuple[F64, F64, F64, F64]:
         """The lens above sensor points: view position (X, Y) [view px] and offset (du, dv) from its centre [px]."""
         cos, sin = np.cos(self.rotation), np.sin(self.rotation)
         gx = cos * (x - self.origin[0]) + sin * (y - self.origin[1])
@@ -70,7 +71,7 @@ class SensorModel:
         view_y = (best.y - (-sin * middle_x + cos * middle_y)) / self.pitch + (height - 1) / 2
         return view_x, view_y, gx - best.x, gy - best.y
 
-    def modulation(self, x: F32, y: F32, du: F32, dv: F32) -> F32:
+    def modulation(self, x: F64, y: F64, du: F64, dv: F64) -> F32:
         """Vignetting of lens and microlens at sensor points, peak 1."""
         radius = np.hypot(du, dv) / (self.pitch / 2)
         lens = (1 - 0.35 * radius**2) / (1 + np.exp((radius - 1.02) * 25))
@@ -82,12 +83,12 @@ class SensorModel:
 class _Nearest:
     """Keeps the nearest of the lens centres offered for every point."""
 
-    def __init__(self, gx: F32, gy: F32) -> None:
+    def __init__(self, gx: F64, gy: F64) -> None:
         self.gx, self.gy = gx, gy
         self.distance = np.full(gx.shape, np.inf)
         self.x, self.y = np.zeros_like(gx), np.zeros_like(gy)
 
-    def offer(self, x: F32, y: F32) -> None:
+    def offer(self, x: F64, y: F64) -> None:
         distance = (self.gx - x) ** 2 + (self.gy - y) ** 2
         nearer = distance < self.distance
         for kept, new in ((self.distance, distance), (self.x, x), (self.y, y)):
@@ -111,7 +112,7 @@ class PlaneScene:
         d0, gx, gy = self.disparity
         return np.asarray(d0 + gx * np.arange(width) + gy * np.arange(height)[:, None], np.float32)
 
-    def encoded(self, view_x: F32, view_y: F32, du: F32 | float, dv: F32 | float, channel: int) -> F32:
+    def encoded(self, view_x: F64, view_y: F64, du: F64 | float, dv: F64 | float, channel: int) -> F32:
         """sRGB-encoded value 0..1 seen at the view position (X, Y) from the aperture offset (du, dv)."""
         import cv2
 
@@ -150,7 +151,7 @@ class PlaneScene:
 def true_view(sensor: SensorModel, scene: PlaneScene, du: int, dv: int) -> F32:
     """The noise-free view from the aperture offset (du, dv), sRGB-encoded float32 [H, W, 3]."""
     width, height = sensor.view_size
-    y, x = np.mgrid[0:height, 0:width].astype(np.float32)
+    y, x = np.mgrid[0:height, 0:width].astype(np.float64)
     return np.stack([scene.encoded(x, y, float(du), float(dv), channel) for channel in range(3)], -1)
 
 
@@ -162,7 +163,7 @@ def shoot(sensor: SensorModel, scene: PlaneScene | None, seed: int, *, noise: bo
     rng = np.random.default_rng(seed)
     values = np.empty((sensor.height, sensor.width), np.uint16)
     for rows in _stripes(sensor.height):
-        exposed = _exposed(sensor, scene, rows, subpixels)
+        exposed = _exposed(sensor, scene, rows, subpixels).astype(np.float64)
         if noise:
             collected = rng.poisson(exposed * sensor.electrons) + rng.normal(0, sensor.read_electrons, exposed.shape)
             exposed = collected / sensor.electrons
@@ -182,8 +183,8 @@ def _exposed(sensor: SensorModel, scene: PlaneScene | None, rows: slice, subpixe
     steps = (np.arange(subpixels) + 0.5) / subpixels - 0.5
     for sx in steps:
         for sy in steps:
-            view_x, view_y, du, dv = sensor.lens_of(x + sx, y + sy)  # type: ignore[arg-type]
-            light = sensor.modulation(x + sx, y + sy, du, dv)  # type: ignore[arg-type]
+            view_x, view_y, du, dv = sensor.lens_of(x + sx, y + sy)
+            light = sensor.modulation(x + sx, y + sy, du, dv)
             for corner, colour in enumerate(sensor.colours):
                 cell = np.s_[(corner // 2 - rows.start) % 2 :: 2, corner % 2 :: 2]
                 channel = "RGB".index(colour)
@@ -191,7 +192,7 @@ def _exposed(sensor: SensorModel, scene: PlaneScene | None, rows: slice, subpixe
                 if scene is not None:
                     seen = to_linear(scene.encoded(view_x[cell], view_y[cell], du[cell], dv[cell], channel))
                 total[cell] += light[cell] * seen * np.float32(sensor.response[channel])
-    return total / np.float32(subpixels**2)
+    return np.asarray(total / np.float32(subpixels**2))
 
 
 def _stripes(height: int) -> Iterator[slice]:
