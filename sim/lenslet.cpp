@@ -79,14 +79,16 @@ LFRIG_CLONES __attribute__((flatten)) void shade_lenslets(const World &world, co
         const Point g = sensor.in_lattice(x, y), offset = from_nearest_lens(g, l.pitch, l.row_pitch);
         const double lens_x = (g.x - offset.x - middle.x) / l.pitch + k.cx;
         const double lens_y = (g.y - offset.y - middle.y) / l.pitch + k.cy;
+        // Each pixel moves the pattern of its samples over the lens: in itself it favours parts of the hexagon.
+        const double shift_a = unit(hash32(pixel + 1000U)), shift_b = unit(hash32(pixel + 1001U));
         double total[3] = {0, 0, 0};
         for (int s = 0; s < samples; ++s) {
             const uint32_t key = pixel + uint32_t(s) * 4U;
             // Multi-jittered, as in render.cpp, over the lens and over the pixel. Over the lens: a parallelogram that
             // tiles as the lenses do, each point of it moved by whole lenses to where it lies on this one.
             const double i = double(s % how.side), j = double(s / how.side);
-            const double a = (i + (j + unit(hash32(key))) * step) * step;
-            const double b = (j + (i + unit(hash32(key + 1U))) * step) * step;
+            const double a = (i + (j + unit(hash32(key))) * step) * step + shift_a;
+            const double b = (j + (i + unit(hash32(key + 1U))) * step) * step + shift_b;
             const Point on_lens = from_nearest_lens({a + 0.5 * b, b * row_step}, 1.0, row_step);
             const double px = (j + unit(hash32(key + 2U))) * step - 0.5, py = (i + unit(hash32(key + 3U))) * step - 0.5;
             const double du = offset.x + (l.cosine * px + l.sine * py), dv = offset.y + (l.cosine * py - l.sine * px);

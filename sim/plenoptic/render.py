@@ -15,7 +15,7 @@ from lfrig.sim.renderer import lamp_record
 from lfrig.sim.scene import F32, PackedScene
 from lfrig.sim.tone import U8
 
-VERSION = 1
+VERSION = 2
 """Part of the key of cached renders: raise it when lenslet.cpp or the headers that it includes change a picture."""
 ROWS_AT_ONCE = 128  # between reports of progress
 

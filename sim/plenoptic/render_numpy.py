@@ -31,7 +31,7 @@ def lenslets(
         # One row per pixel, one column per sample.
         sample = np.tile(np.arange(samples), len(index))
         lens_x, lens_y, off_x, off_y, key = (np.repeat(a, samples) for a in (lens_x, lens_y, off_x, off_y, key))
-        on_lens, on_pixel = _jitter(lattice, key + sample.astype(np.uint32) * np.uint32(4), sample, side)
+        on_lens, on_pixel = sample_places(lattice, key, sample, side)
         ray = view_rays(
             camera, lens_x + on_lens[0], lens_y + on_lens[1], off_x + on_pixel[0], off_y + on_pixel[1]
         )  # fmt: skip
@@ -44,17 +44,20 @@ def lenslets(
         pixels[index] = (total / samples).astype(np.float32)
 
 
-def _jitter(lattice: F64, key: U32, sample: I64, side: int) -> tuple[tuple[F64, F64], tuple[F64, F64]]:
+def sample_places(lattice: F64, pixel: U32, sample: I64, side: int) -> tuple[tuple[F64, F64], tuple[F64, F64]]:
     """Where samples lie on their lens [lens pitches] and on their pixel [px], both in the lattice's axes.
 
     Multi-jittered (Chiu, Shirley & Wang 1994). Over the lens: a parallelogram that tiles as the lenses do, each point
-    of it moved by whole lenses to where it lies on this one.
+    of it moved by whole lenses to where it lies on this one. Each pixel moves the pattern of its samples over the lens:
+    in itself it favours parts of the hexagon. ``pixel`` uint32 [N] is the pixel's hash, ``sample`` the sample's number.
     """
+    key = pixel + sample.astype(np.uint32) * np.uint32(4)
+    shift_a, shift_b = unit(hash32(pixel + np.uint32(1000))), unit(hash32(pixel + np.uint32(1001)))
     pitch, row_pitch, cosine, sine = lattice[:4]
     row_step, step = row_pitch / pitch, 1.0 / side
     i, j = (sample % side).astype(np.float64), (sample // side).astype(np.float64)
-    a = (i + (j + unit(hash32(key))) * step) * step
-    b = (j + (i + unit(hash32(key + np.uint32(1)))) * step) * step
+    a = (i + (j + unit(hash32(key))) * step) * step + shift_a
+    b = (j + (i + unit(hash32(key + np.uint32(1)))) * step) * step + shift_b
     on_lens = from_nearest_lens(a + 0.5 * b, b * row_step, 1.0, row_step)
     px = (j + unit(hash32(key + np.uint32(2)))) * step - 0.5
     py = (i + unit(hash32(key + np.uint32(3)))) * step - 0.5
