@@ -118,12 +118,14 @@ class SessionStore:
         """
         return capture_folder.load_light_field(
             self.capture_folder(capture_id), capture_id, self.capture(capture_id),
-            depth_range_m=self.document.rig.depth_range_m, threads=threads, monitor=monitor,
+            depth_range_m=self.document.rig.depth_range_m, session=self.path, threads=threads, monitor=monitor,
         )  # fmt: skip
 
     def load_photo(self, capture_id: str) -> Photo:
         """Read a photo, upright; of a light field its centre view. Raises as `load_light_field`."""
-        return capture_folder.load_photo(self.capture_folder(capture_id), capture_id, self.capture(capture_id))
+        return capture_folder.load_photo(
+            self.capture_folder(capture_id), capture_id, self.capture(capture_id), session=self.path
+        )
 
     def add_light_field(
         self, views: U8, document: CaptureDocument, *, time: str | None = None, threads: int = 0
