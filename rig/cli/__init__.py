@@ -8,7 +8,7 @@ costs typer and rich alone. Rooms:
 - ``monitor``  progress bars, warnings and the log file
 - ``failures`` from any exception to one line, a remedy and an exit code
 - ``options``  values that several commands parse alike
-- ``session`` ``make`` ``quality`` ``export`` ``bench`` ``doctor`` ``absent``   the commands
+- ``session`` ``make`` ``decode`` ``quality`` ``export`` ``bench`` ``doctor`` ``absent``   the commands
 """
 
 from __future__ import annotations

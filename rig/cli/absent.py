@@ -10,7 +10,6 @@ from lfrig.contracts.errors import NotInThisVersion
 
 PANEL = "Not in this version"
 COMMANDS = {
-    "decode": "A raw plenoptic file to views.",
     "console": "The operator's console in a browser.",
     "serve": "Processing for other machines.",
     "calibrate": "Calibrate the rig.",

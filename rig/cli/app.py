@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from lfrig.rig.cli import absent, bench, doctor, export, make, quality, session
+from lfrig.rig.cli import absent, bench, decode, doctor, export, make, quality, session
 from lfrig.rig.cli.run import Run
 
 app = typer.Typer(
@@ -47,5 +47,5 @@ def _global_options(
         run.open_log(log_file)
 
 
-for group in (make, session, quality, export, bench, doctor, absent):
+for group in (make, session, decode, quality, export, bench, doctor, absent):
     group.register(app)
