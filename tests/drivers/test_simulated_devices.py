@@ -8,7 +8,7 @@ import pytest
 from lfrig.contracts.errors import CaptureError, Interrupted
 from lfrig.contracts.progress import Monitor
 from lfrig.drivers.protocols import Camera, Turntable
-from lfrig.sim.devices import SimulatedLightFieldCamera, SimulatedTargetCamera, SimulatedTurntable
+from lfrig.sim.devices import Record, SimulatedLightFieldCamera, SimulatedTargetCamera, SimulatedTurntable
 from lfrig.sim.rig import SimulatedRig
 from tests.drivers.contract import TIMEOUT_S, CameraContract, TurntableContract
 from tests.sim.small import backdrop, flat, ground, scene, sphere
@@ -37,6 +37,13 @@ class TestLightFieldCamera(CameraContract):
         return SimulatedLightFieldCamera(rig(), homed())
 
 
+class TestRawLightFieldCamera(CameraContract):
+    role, kind = "light_field_camera", "light_field"
+
+    def open(self) -> Camera:
+        return SimulatedLightFieldCamera(rig(), homed(), record="raw")
+
+
 class TestTargetCamera(CameraContract):
     role, kind = "target_camera", "photo"
 
@@ -57,6 +64,18 @@ def test_camera_sees_the_plate_where_it_stood_at_the_trigger() -> None:
     expected = rig().shoot_photo(0, 40.0).pixels
     assert frame.pixels is not None
     np.testing.assert_array_equal(frame.pixels, expected)
+
+
+@pytest.mark.parametrize("record", ["views", "raw"])
+def test_light_field_camera_delivers_what_it_says_it_makes(record: Record) -> None:
+    camera = SimulatedLightFieldCamera(rig(), homed(), record=record)
+    assert camera.makes_raw == (record == "raw")
+    camera.arm(timeout_s=TIMEOUT_S)
+    name = camera.trigger(timeout_s=TIMEOUT_S)
+    frame = camera.fetch(name, timeout_s=TIMEOUT_S)
+    assert (frame.raw is not None) == camera.makes_raw
+    assert (frame.document.raw is not None) == camera.makes_raw
+    assert camera.take_truth(name).views is not None
 
 
 def test_no_picture_while_the_plate_is_not_at_rest() -> None:
