@@ -200,7 +200,7 @@ def parse_hot_pixels(data: memoryview, shot: RawMetadata, path: Path, field: str
     BadInput
         Its length is not that of its count, or a pixel is outside of the sensor.
     """
-    count = struct.unpack_from("<I", data)[0] if len(data) >= 4 else -1
+    count = struct.unpack_from("<I", data)[0] if len(data) >= 4 else 0
     if len(data) != 4 + 4 * count:
         raise BadInput(
             f"its {len(data)} bytes are no list of hot pixels", path=path, field=field, code="bad-hot-pixels",

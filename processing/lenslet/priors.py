@@ -7,14 +7,14 @@ With f the focal length, N the f-number, p the lens pitch [px], λ∞ the defocu
 
 from __future__ import annotations
 
-import math
-
 from lfrig.processing.lenslet.metadata import RawMetadata
 from lfrig.processing.model import Camera, Optics
 
 SIGMA_FOCAL = 0.02
 """Relative standard deviation of the focal length from metadata."""
 SIGMA_BASELINE = 0.03
+MAX_FOCUS_M = 1e4
+"""What is focused farther than that is focused at infinity."""
 
 
 def view_size(metadata: RawMetadata) -> tuple[int, int]:
@@ -33,11 +33,10 @@ def camera_and_optics(metadata: RawMetadata) -> tuple[Camera | None, Optics]:
         return None, Optics(sigma_baseline=SIGMA_BASELINE)
     pitch_px, pixel = metadata.lens_pitch_px, metadata.pixel_pitch_m
     baseline = focal / (number * pitch_px) if number is not None else None
-    focus = None
-    if baseline is not None and infinity is not None and infinity > 0:
-        focus = focal + baseline * focal / (pixel * infinity)
-    image_distance = focal if focus is None else focal * focus / (focus - focal)
-    if focus is not None and not math.isfinite(image_distance):
-        focus, image_distance = None, focal
+    behind_infinity = 0.0
+    if number is not None and infinity is not None:
+        behind_infinity = max(0.0, infinity * number * pitch_px * pixel)
+    focus = focal + focal * focal / behind_infinity if behind_infinity > focal * focal / MAX_FOCUS_M else None
+    image_distance = focal + behind_infinity
     camera = Camera.centred(*view_size(metadata), image_distance / (pitch_px * pixel), SIGMA_FOCAL)
     return camera, Optics(baseline, focus, SIGMA_BASELINE)

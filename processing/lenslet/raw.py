@@ -13,13 +13,15 @@ from lfrig.processing.lenslet.calibration import I32, Calibration, Match, WhiteI
 from lfrig.processing.lenslet.container import Container, read_container
 from lfrig.processing.lenslet.contents import Frame, missing, part, raw_frame
 from lfrig.processing.lenslet.metadata import RawMetadata, parse_metadata, read_metadata
-from lfrig.processing.lenslet.unpack import U16, unpack, unpack_partial
+from lfrig.processing.lenslet.unpack import U16, held_values, unpack, unpack_partial
 
 __all__ = ["RawCapture", "WhiteImage", "read_raw"]
 
 IMAGE_FIELD = "imageRef"
 WHITE_FIELD = "modulationDataRef"
 HOT_PIXELS_FIELD = "hotPixelRef"
+MIN_PARTIAL_SHARE = 1 / 16
+"""Of the sensor values a torn file must hold to be worth reading, which also bounds memory by the file's size."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,10 +70,16 @@ def read_raw(
     """
     monitor = monitor or Monitor()
     container = read_container(path, partial=partial)
+    known = Calibration.open(calibration) if calibration is not None else None
+    monitor.advance(0)
+    return assemble(container, known, monitor)
+
+
+def assemble(container: Container, known: Calibration | None, monitor: Monitor) -> RawCapture:
+    """`read_raw` of what was opened already; a container opened with ``partial`` is read as far as it goes."""
     frame = raw_frame(container)
     metadata = read_metadata(container, frame)
     sensor = _sensor(container, frame, metadata)
-    known = Calibration.open(calibration) if calibration is not None else None
     monitor.advance(0)
     problems: list[str] = []
     white, match = _white(container, frame, metadata, known, problems)
@@ -96,11 +104,16 @@ def _sensor(container: Container, frame: Frame, metadata: RawMetadata) -> U16:
     payload = container.data(section)
     if not container.partial:
         return unpack(payload, metadata, container.path, IMAGE_FIELD)
-    sensor, held = unpack_partial(payload, metadata)
-    if held < sensor.size:
+    count, held = metadata.width * metadata.height, held_values(len(payload), metadata)
+    if held < MIN_PARTIAL_SHARE * count:
+        raise BadInput(
+            f"holds {held} of {count} sensor values", path=container.path, field=IMAGE_FIELD, code="truncated",
+            remedy="copy the file from the camera again",
+        )  # fmt: skip
+    if held < count:
         rows = metadata.height - held // metadata.width
         container.problems.append(f"{IMAGE_FIELD}: the last {rows} of {metadata.height} rows are missing")
-    return sensor
+    return unpack_partial(payload, metadata)
 
 
 def _white(

@@ -36,17 +36,19 @@ def unpack(payload: memoryview | bytes, metadata: RawMetadata, path: Path | str,
     return values.reshape(metadata.height, metadata.width)
 
 
-def unpack_partial(payload: memoryview | bytes, metadata: RawMetadata) -> tuple[U16, int]:
-    """As `unpack` of a payload of any length, and the number of values that it held; the others are 0."""
-    count = metadata.width * metadata.height
+def held_values(size: int, metadata: RawMetadata) -> int:
+    """How many sensor values ``size`` bytes hold, at most the sensor's."""
+    pixels, group = PACKED_GROUPS[metadata.bits, metadata.packing]
+    return min(size // group * pixels, metadata.width * metadata.height)
+
+
+def unpack_partial(payload: memoryview | bytes, metadata: RawMetadata) -> U16:
+    """As `unpack` of a payload of any length; values that it does not hold (see `held_values`) are 0."""
+    count, held = metadata.width * metadata.height, held_values(len(payload), metadata)
     packed = np.zeros(packed_size(count, metadata.bits, metadata.packing), np.uint8)
-    there = min(len(payload), len(packed))
+    there = packed_size(held, metadata.bits, metadata.packing)
     packed[:there] = np.frombuffer(payload, np.uint8, there)
-    pixels, size = PACKED_GROUPS[metadata.bits, metadata.packing]
-    held = min(there // size * pixels, count)
-    values = _values(packed, count, metadata)
-    values[held:] = 0
-    return values.reshape(metadata.height, metadata.width), held
+    return _values(packed, count, metadata).reshape(metadata.height, metadata.width)
 
 
 def _values(packed: U8, count: int, metadata: RawMetadata) -> U16:
