@@ -2,6 +2,7 @@
 
 - ``accuracy``  what each step of the pipeline gains, over the simulated scenes
 - ``pareto``    error against CPU time, ours and the peers'
+- ``decode``    what the decode of raw light fields costs and loses
 - ``stress``    what must hold, or be refused by name, on inputs that break things
 - ``peers``     other methods on the same inputs
 - ``measure`` ``document`` ``plots`` ``cases``   what they share
@@ -21,6 +22,7 @@ BENCHES = {
     "accuracy": "lfrig.bench.accuracy",
     "pareto": "lfrig.bench.pareto",
     "stress": "lfrig.bench.stress",
+    "decode": "lfrig.bench.decode",
 }
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lfrig.contracts.errors import CheckFailed
+from lfrig.contracts.errors import CheckFailed, UsageError
 from lfrig.rig.cli import options as parse
 from lfrig.rig.cli.run import Run
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from lfrig.contracts.bench import BenchDocument
 
-LATER = ("skip", "kernels", "decode", "rig", "models", "ablation")
+LATER = ("skip", "kernels", "rig", "models", "ablation")
 
 
 def register(app: typer.Typer) -> None:
@@ -26,8 +26,11 @@ def register(app: typer.Typer) -> None:
 
 def bench(
     context: typer.Context,
-    name: Annotated[str, typer.Argument(metavar="accuracy|pareto|stress", help="Which benchmark.")],
+    name: Annotated[str, typer.Argument(metavar="accuracy|pareto|stress|decode", help="Which benchmark.")],
     out: Annotated[Path, typer.Option(help="Folder for the JSON, the Markdown and the plots.")] = Path("out/bench"),
+    size: Annotated[
+        str | None, typer.Option(metavar="crop|full", help="Of the sensor, for decode; the full one has more bounds.")
+    ] = None,
     check: Annotated[bool, typer.Option("--check", help="Exit 1 when a check fails.")] = False,
 ) -> None:
     """Run a benchmark: rows of numbers with their cost, and checks against bounds."""
@@ -35,7 +38,10 @@ def bench(
 
     run: Run = context.obj
     parse.one_of("bench", name, tuple(BENCHES), LATER)
-    document: BenchDocument = load(name).run(out, monitor=run.monitor, threads=run.threads)
+    if size is not None and name != "decode":
+        raise UsageError(f"--size: bench {name} has one size", remedy="leave --size out")
+    sized = {} if size is None else {"size": size}
+    document: BenchDocument = load(name).run(out, monitor=run.monitor, threads=run.threads, **sized)
     run.emit(document, lambda console: _show(document, out, console))
     failed = [item.name for item in document.checks if not item.ok]
     if check and failed:

@@ -50,9 +50,7 @@ def decode(
 
 def _show(outcome: DecodeOutcome, console: Console) -> None:
     views, lattice, white = (outcome.facts[name] for name in ("views", "lattice", "white_image"))
-    console.print(
-        f"{views['rows']}×{views['cols']} views of {views['width']}×{views['height']} px; "
-        f"lenses {lattice['pitch_px']:.4f} px apart, residual {lattice['residual_rms_px']:.3f} px over {lattice['lenses']}; white image {white['rule']}",
-        markup=False, soft_wrap=True,
-    )  # fmt: skip
+    size = f"{views['rows']}×{views['cols']} views of {views['width']}×{views['height']} px"
+    fit = f"{lattice['lenses']} lenses {lattice['pitch_px']:.4f} px apart, residual {lattice['residual_rms_px']:.3f} px"
+    console.print(f"{size}; {fit}; white image: {white['rule']}", markup=False, soft_wrap=True)
     console.print(str(outcome.folder), markup=False, soft_wrap=True)
