@@ -119,8 +119,9 @@ class Frame:
 
     ``frame_id`` is the camera's own name for it (F01: the picture id of its list; Illum: the file name on the card;
     OAK: the sequence number), by which duplicates are told. Either ``pixels``, uint8 [rows, cols, H, W, 3] views of a
-    light field or uint8/uint16 [H, W, 3] of a photo, or ``raw``, the bytes of the file that the camera made.
-    ``document`` holds what the camera knows: kind, intrinsics, optics, exposure; the controller adds the plate's angle.
+    light field or uint8/uint16 [H, W, 3] of a photo, or ``raw``, the bytes of the file that a light-field camera made.
+    ``document`` holds what the camera knows: kind, intrinsics, optics, exposure, and under ``raw`` the name of a raw
+    file, its SHA-256 where it is known, its calibration; the controller adds the plate's angle.
     """
 
     frame_id: str

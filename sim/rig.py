@@ -16,13 +16,14 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from lfrig.contracts.capture import CameraSpec, CaptureDocument, ExposureSpec, OpticsSpec, PoseSpec, RawSpec, ViewsSpec
+from lfrig.contracts.capture import CaptureDocument, RawSpec, ViewsSpec
 from lfrig.contracts.progress import Monitor
 from lfrig.contracts.session import CameraMount, RigCameras, RigSpec
 from lfrig.contracts.truth import TruthCapture
 from lfrig.sim.cache import cached, scene_digest, source_digest
-from lfrig.sim.optics import SimCamera, look_at, pose_spec, rotation_vector, view_offsets
+from lfrig.sim.optics import SimCamera, look_at, view_offsets
 from lfrig.sim.plenoptic.camera import PlenopticCamera, RawShot
+from lfrig.sim.recorded import recorded_camera, recorded_exposure, recorded_mount, recorded_optics
 from lfrig.sim.renderer import VERSION, render_depth, render_radiance
 from lfrig.sim.scene import F32, F64, PackedScene, Scene, pack
 from lfrig.sim.scenes import RigOptics, build_scene, check_scene_name, optics_of
@@ -33,10 +34,6 @@ ROWS = COLS = 7
 FULL_WIDTH = 541
 
 TURNTABLE_SIGMA_DEG = 0.3
-MOUNT_SIGMA_DEG = 0.5
-MOUNT_SIGMA_M = 0.0045
-FOCAL_SIGMA = 0.02
-OPTICS_SIGMA = 0.03
 RIG_DEPTH_RANGE_M = (0.25, 0.90)
 
 PIXELS_PER_MM = 50.0  # at 541 px: a sensor 10.8 mm wide
@@ -193,38 +190,17 @@ class SimulatedRig:
 
     def rig_spec(self) -> RigSpec:
         """What the rig knows of itself: mounts with errors, and how large those may be."""
+        light_field, target = (recorded_mount(*self._mount(t), self.random("mount error", t)) for t in (False, True))
         return RigSpec(
             cameras=RigCameras(
-                light_field=CameraMount(camera_from_plate=self._recorded_mount(False)),
-                target=CameraMount(camera_from_plate=self._recorded_mount(True)),
+                light_field=CameraMount(camera_from_plate=light_field), target=CameraMount(camera_from_plate=target)
             ),
             turntable_sigma_deg=TURNTABLE_SIGMA_DEG,
             depth_range_m=RIG_DEPTH_RANGE_M,
         )
 
-    def _recorded_mount(self, target: bool) -> PoseSpec:
-        rotation, translation = self._mount(target)
-        rng = self.random("mount error", target)
-        centre = -rotation.T @ translation + MOUNT_SIGMA_M * rng.standard_normal(3)
-        wrong = rotation_vector(np.deg2rad(MOUNT_SIGMA_DEG) * rng.standard_normal(3)) @ rotation
-        return pose_spec(wrong, -wrong @ centre, sigma_deg=MOUNT_SIGMA_DEG, sigma_m=MOUNT_SIGMA_M)
-
-    def _recorded_camera(self, camera: SimCamera, *what: object) -> CameraSpec:
-        if self.poses == "given":
-            return camera.camera_spec(sigma_f=0.0)
-        error = FOCAL_SIGMA * float(np.clip(self.random("focal error", *what).standard_normal(), -2, 2))
-        return camera.camera_spec(fx=camera.focal_px * (1 + error), sigma_f=FOCAL_SIGMA)
-
-    def _recorded_optics(self, camera: SimCamera, *what: object) -> OpticsSpec:
-        error = OPTICS_SIGMA * np.clip(self.random("optics error", *what).standard_normal(2), -2, 2)
-        return OpticsSpec(
-            baseline_m=camera.baseline_m * (1 + float(error[0])),
-            focus_distance_m=camera.focus_m * (1 + float(error[1])),
-            sigma_baseline=OPTICS_SIGMA,
-        )
-
-    def _recorded_pose(self, camera: SimCamera) -> PoseSpec | None:
-        return camera.pose_spec() if self.poses == "given" else None
+    def _focal_error(self, *what: object) -> np.random.Generator | None:
+        return self.random("focal error", *what) if self.poses == "prior" else None
 
     # Shots -------------------------------------------------------------------------------------------------------
 
@@ -244,12 +220,12 @@ class SimulatedRig:
             kind="light_field",
             views=views,
             raw=raw,
-            camera=self._recorded_camera(camera, "light field", index),
-            optics=self._recorded_optics(camera, index),
-            exposure=_exposure_spec(self.exposure(index)),
+            camera=recorded_camera(camera, self._focal_error("light field", index)),
+            optics=recorded_optics(camera, self.random("optics error", index)),
+            exposure=recorded_exposure(self.exposure(index)),
             depth_range_m=RIG_DEPTH_RANGE_M,
             turntable_deg=commanded_deg,
-            pose=self._recorded_pose(camera),
+            pose=camera.pose_spec() if self.poses == "given" else None,
         )
 
     def light_field_truth(
@@ -286,10 +262,10 @@ class SimulatedRig:
         document = CaptureDocument(
             kind="photo",
             image="photo.png",
-            camera=self._recorded_camera(camera, "photo", index),
-            exposure=_exposure_spec(exposure),
+            camera=recorded_camera(camera, self._focal_error("photo", index)),
+            exposure=recorded_exposure(exposure),
             turntable_deg=commanded_deg,
-            pose=self._recorded_pose(camera),
+            pose=camera.pose_spec() if self.poses == "given" else None,
         )
         truth = self._truth(camera, "photo", commanded_deg, views)
         return SimulatedCapture(self._noisy(photo, *what), document, truth)
@@ -344,7 +320,3 @@ class SimulatedRig:
 def _image_distance_mm(focal_mm: float, focus_m: float) -> float:
     """Distance of the sensor behind a thin lens focused at ``focus_m``: the focal length in the pinhole sense."""
     return focal_mm * focus_m / (focus_m - focal_mm / 1000)
-
-
-def _exposure_spec(exposure: Exposure) -> ExposureSpec:
-    return ExposureSpec(time_s=0.01 * exposure.gain, iso=100.0, white_balance=exposure.white_balance)

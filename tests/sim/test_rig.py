@@ -8,16 +8,9 @@ import pytest
 from lfrig.contracts.capture import PoseSpec
 from lfrig.contracts.errors import BadInput
 from lfrig.sim.optics import rotation_z
+from lfrig.sim.recorded import FOCAL_SIGMA, MOUNT_SIGMA_DEG, MOUNT_SIGMA_M, OPTICS_SIGMA
 from lfrig.sim.renderer import render_depth
-from lfrig.sim.rig import (
-    FOCAL_SIGMA,
-    MOUNT_SIGMA_DEG,
-    MOUNT_SIGMA_M,
-    OPTICS_SIGMA,
-    TURNTABLE_SIGMA_DEG,
-    SimulatedRig,
-    target_size,
-)
+from lfrig.sim.rig import TURNTABLE_SIGMA_DEG, SimulatedRig, target_size
 from lfrig.sim.scene import F64, pack
 from lfrig.sim.scenes import REPORTING
 from tests.sim.small import CENTRE, one_of_each, scene
