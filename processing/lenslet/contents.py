@@ -41,9 +41,10 @@ def raw_frame(container: Container) -> Frame:
         table of contents.
     """
     tables = [section for section in container.sections if section.kind == "toc"]
+    noted = f" ({container.problems[0]})" if container.problems else ""
     if not tables:
         raise BadInput(
-            "has no table of contents", path=container.path, code="no-table-of-contents",
+            f"has no table of contents{noted}", path=container.path, code="no-table-of-contents",
             remedy="copy the file from the camera again",
         )  # fmt: skip
     for section in tables:

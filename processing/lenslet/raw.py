@@ -13,7 +13,7 @@ from lfrig.processing.lenslet.calibration import I32, Calibration, Match, WhiteI
 from lfrig.processing.lenslet.container import Container, read_container
 from lfrig.processing.lenslet.contents import Frame, missing, part, raw_frame
 from lfrig.processing.lenslet.metadata import RawMetadata, parse_metadata, read_metadata
-from lfrig.processing.lenslet.unpack import U16, held_values, unpack, unpack_partial
+from lfrig.processing.lenslet.unpack import U16, check_size, held_values, unpack, unpack_partial
 
 __all__ = ["RawCapture", "WhiteImage", "read_raw"]
 
@@ -95,6 +95,14 @@ def assemble(container: Container, known: Calibration | None, monitor: Monitor) 
         container.path, metadata, sensor, white, rule, hot_pixels, match.zoom_steps if match else None,
         match.focus_steps if match else None, (*container.problems, *problems),
     )  # fmt: skip
+
+
+def check_payload(container: Container, frame: Frame, metadata: RawMetadata) -> None:
+    """Raise `BadInput` where the sensor's bytes are missing or not as many as the metadata need; unpacks nothing."""
+    section = container.find(frame.image_ref)
+    if section is None:
+        raise missing(container.path, IMAGE_FIELD)
+    check_size(section.length, metadata, container.path, IMAGE_FIELD)
 
 
 def _sensor(container: Container, frame: Frame, metadata: RawMetadata) -> U16:

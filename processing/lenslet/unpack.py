@@ -24,16 +24,22 @@ def unpack(payload: memoryview | bytes, metadata: RawMetadata, path: Path | str,
     BadInput
         Code ``wrong-size``: not the number of bytes that size and bit depth need; names ``path`` and ``field``.
     """
+    check_size(len(payload), metadata, path, field)
+    count = metadata.width * metadata.height
+    values = _values(np.frombuffer(payload, np.uint8), count, metadata)
+    return values.reshape(metadata.height, metadata.width)
+
+
+def check_size(size: int, metadata: RawMetadata, path: Path | str, field: str) -> None:
+    """Raise as `unpack` where a payload of ``size`` bytes is not the metadata's."""
     count = metadata.width * metadata.height
     expected = packed_size(count, metadata.bits, metadata.packing)
-    if len(payload) != expected:
+    if size != expected:
         raise BadInput(
-            f"has {len(payload)} bytes{_other_depth(len(payload), count)}, but {metadata.width}×{metadata.height} px "
+            f"has {size} bytes{_other_depth(size, count)}, but {metadata.width}×{metadata.height} px "
             f"of {metadata.bits} bits are {expected}",
             path=path, field=field, code="wrong-size", remedy="copy the file from the camera again",
         )  # fmt: skip
-    values = _values(np.frombuffer(payload, np.uint8), count, metadata)
-    return values.reshape(metadata.height, metadata.width)
 
 
 def held_values(size: int, metadata: RawMetadata) -> int:

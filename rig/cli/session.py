@@ -92,17 +92,18 @@ def ingest(
     pattern: Annotated[
         str | None, typer.Option(metavar="NAME_{row:02d}_{col:02d}.png", help="How the views of a folder are named.")
     ] = None,
-    calibration: Annotated[Path | None, typer.Option(hidden=True)] = None,
+    calibration: Annotated[
+        Path | None, typer.Option(metavar="caldata.tar", help="White images of the camera that took the raw files.")
+    ] = None,
 ) -> None:
-    """Bring light fields (capture, HCI and view folders, ESLF pictures) and photos into a SESSION."""
-    parse.refuse_absent("--calibration", calibration)
+    """Bring light fields (raw files, capture, HCI and view folders, ESLF pictures) and photos into a SESSION."""
     if kind is not None:
         parse.one_of("--as", kind, tuple(KINDS))
     from lfrig.rig.ingest import ingest as bring_in
 
     run: Run = context.obj
     wanted: Any = KINDS[kind] if kind is not None else None
-    captures = bring_in(session, sources, kind=wanted, pattern=pattern, monitor=run.monitor)
+    captures = bring_in(session, sources, kind=wanted, pattern=pattern, calibration=calibration, monitor=run.monitor)
     rows = [
         {"id": c.id, "source": c.source, "kind": c.kind, "format": c.format, "skipped": c.skipped} for c in captures
     ]

@@ -20,6 +20,7 @@ from lfrig.rig.info.documents import (
     describe_score,
     describe_truth,
 )
+from lfrig.rig.info.raw import CALIBRATION_SUFFIXES, describe_calibration, describe_raw, is_raw
 from lfrig.rig.info.sessions import describe_capture, describe_foreign, describe_session
 from lfrig.rig.info.text import Description, text_lines
 from lfrig.rig.session.capture_folder import CAPTURE_FILE
@@ -29,7 +30,7 @@ __all__ = ["Description", "describe", "text_lines"]
 
 
 def describe(path: Path | str) -> Description:
-    """Describe a session, capture, result, foreign light field, picture, float map or JSON document of lfrig's.
+    """Describe a session, capture, result, light field, calibration, picture, float map or JSON document of lfrig's.
 
     Raises
     ------
@@ -58,7 +59,9 @@ def _describe_folder(path: Path) -> Description:
 
 def _describe_file(path: Path) -> Description:
     readers = {".json": _describe_json, ".pfm": describe_pfm, ".npy": describe_npy}
-    return readers.get(path.suffix.lower(), describe_foreign)(path)
+    readers |= dict.fromkeys(CALIBRATION_SUFFIXES, describe_calibration)
+    reader = readers.get(path.suffix.lower()) or (describe_raw if is_raw(path) else describe_foreign)
+    return reader(path)
 
 
 def _describe_json(path: Path) -> Description:

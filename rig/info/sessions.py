@@ -6,10 +6,11 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from lfrig.contracts.capture import CaptureDocument
-from lfrig.contracts.errors import LfrigError, NotInThisVersion
+from lfrig.contracts.errors import BadInput, LfrigError, NotInThisVersion
 from lfrig.contracts.session import RigSpec
 from lfrig.rig.info.text import Description, count, inline
 from lfrig.rig.session.capture_folder import CAPTURE_FILE, content_files
+from lfrig.rig.session.decoded import find_calibration
 from lfrig.rig.session.store import CAPTURES, SESSION_FILE, SessionStore
 
 
@@ -21,7 +22,7 @@ def describe_session(path: Path) -> Description:
     for capture_id in store.document.captures:
         try:
             document = store.capture(capture_id)
-            missing = _missing_files(store.capture_folder(capture_id), document)
+            missing = _missing_files(store.capture_folder(capture_id), document, session=path)
             problems += [f"capture {capture_id}: {problem}" for problem in missing]
             captures.append({"id": capture_id, **_capture_row(document)})
         except LfrigError as error:
@@ -65,7 +66,7 @@ def _unknown_of_rig(rig: RigSpec) -> list[str]:
 def describe_capture(folder: Path) -> Description:
     """A folder with a capture.json, whole or not."""
     document = CaptureDocument.load(folder / CAPTURE_FILE)
-    return {"type": "capture", **_document(document), "problems": _missing_files(folder, document)}
+    return {"type": "capture", **document_facts(document), "problems": _missing_files(folder, document)}
 
 
 def describe_foreign(path: Path) -> Description:
@@ -79,10 +80,11 @@ def describe_foreign(path: Path) -> Description:
         problem = f"{error.message}; {error.remedy}"
         return {"type": "raw", "summary": f"raw file ({path.suffix.lower()})", "problems": [problem]}
     notes = [notice.message for notice in found.notes()]
-    return {"type": found.document.kind, "format": found.format, **_document(found.document), "notes": notes}
+    return {"type": found.document.kind, "format": found.format, **document_facts(found.document), "notes": notes}
 
 
-def _document(document: CaptureDocument) -> Description:
+def document_facts(document: CaptureDocument) -> Description:
+    """Summary, content and unknown fields of a capture's document."""
     row = _capture_row(document)
     facts = inline({"of": row["views"], "at": row["size"]})
     return {
@@ -120,13 +122,19 @@ def _unknown_of_capture(document: CaptureDocument) -> list[str]:
     return [name for name, value in values.items() if value is None]
 
 
-def _missing_files(folder: Path, document: CaptureDocument) -> list[str]:
+def _missing_files(folder: Path, document: CaptureDocument, session: Path | None = None) -> list[str]:
     files = content_files(folder, document)
     missing = [file for file in files if not file.is_file()]
     first = missing[0].relative_to(folder).as_posix() if missing else ""
     problems = [f"{len(missing)} of {len(files)} files are missing, the first is {first}"] if missing else []
-    if document.kind == "light_field" and document.views is None:
-        problems.append("raw only, and decoding is not in this version")
+    raw = document.raw
+    if raw is not None and raw.calibration is not None and document.views is None:
+        try:
+            known = find_calibration(folder, raw.calibration, session)
+        except BadInput as error:
+            return [*problems, error.message]
+        if known is None and session is not None:
+            problems.append(f"calibration {raw.calibration} is missing")
     return problems
 
 

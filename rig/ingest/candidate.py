@@ -17,6 +17,7 @@ from lfrig.contracts.files import sha256_files
 from lfrig.contracts.paths import expand
 from lfrig.contracts.progress import Monitor, Notice
 from lfrig.processing.model import LightField
+from lfrig.rig.ingest.calibration import SessionCalibration
 
 Kind = Literal["light_field", "photo"]
 
@@ -28,10 +29,11 @@ def in_words(kind: Kind) -> str:
 
 @dataclass(frozen=True)
 class Request:
-    """What the user said about a source; None = find out."""
+    """What the user said about a source; None = find out. ``calibration`` is for raw light fields."""
 
     kind: Kind | None = None
     pattern: str | None = None
+    calibration: SessionCalibration | None = None
 
 
 @dataclass(frozen=True)

@@ -6,18 +6,20 @@ from collections.abc import Callable
 from pathlib import Path
 
 from lfrig.contracts.errors import BadInput, NotInThisVersion
-from lfrig.rig.ingest import capture_json, eslf, hci, photo, sai
+from lfrig.rig.ingest import capture_json, eslf, hci, photo, raw, sai
 from lfrig.rig.ingest.candidate import Candidate, Request, in_words
 from lfrig.rig.session.store import SESSION_FILE
 
-LYTRO_SUFFIXES = frozenset({".lfr", ".lfp", ".raw"})
 RAW_PHOTO_SUFFIXES = frozenset({".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2"})
-_READABLE = "a folder with capture.json, an HCI folder, a folder of views, an ESLF picture, or a photo"
+_READABLE = (
+    "a raw light field, a folder with capture.json, an HCI folder, a folder of views, an ESLF picture or a photo"
+)
 
 DETECTORS: tuple[Callable[[Path, Request], Candidate | None], ...] = (
     capture_json.recognise,
     hci.recognise,
     sai.recognise,
+    raw.recognise,
     eslf.recognise,
     photo.recognise,
 )
@@ -31,13 +33,13 @@ def recognise(path: Path, request: Request) -> Candidate:
     BadInput
         It does not exist, is empty, or has a format that is not known; or a known one that is broken.
     NotInThisVersion
-        A raw light field or a raw photo.
+        A raw photo, or a camera's sensor values without metadata.
     """
     if not path.exists():
         raise BadInput("does not exist", path=path, code="missing-file", remedy="check the path")
     suffix = path.suffix.lower()
-    if path.is_file() and suffix in LYTRO_SUFFIXES:
-        raise NotInThisVersion(f"{path}: raw light fields", remedy="export it as ESLF or as views and ingest those")
+    if path.is_file() and suffix == ".raw":
+        raise NotInThisVersion(f"{path}: sensor values without their container", remedy="give the .lfr or .lfp file")
     if path.is_file() and suffix in RAW_PHOTO_SUFFIXES:
         raise NotInThisVersion(f"{path}: raw photos ({suffix})", remedy="develop it to a 16-bit PNG or TIFF first")
     if (path / SESSION_FILE).is_file():

@@ -9,9 +9,10 @@ from functools import partial
 from pathlib import Path
 
 from lfrig.contracts.capture import CaptureDocument
-from lfrig.contracts.errors import BadInput, NotInThisVersion
+from lfrig.contracts.errors import BadInput
 from lfrig.contracts.progress import Monitor
 from lfrig.processing.model import LightField
+from lfrig.rig.ingest.calibration import SessionCalibration, kept_calibration, open_calibration, refuse_unused
 from lfrig.rig.ingest.candidate import Candidate, Kind, Request
 from lfrig.rig.ingest.formats import recognise
 from lfrig.rig.session.capture_folder import content_hash
@@ -51,6 +52,8 @@ def ingest(
         What the sources are; by default found out from each.
     pattern : str, optional
         How views are named, such as ``"view_{row:02d}_{col:02d}.png"``.
+    calibration : Path, optional
+        Calibration of the camera, for the raw light fields among the sources: archive, folder or a white image's .RAW.
     monitor : Monitor, optional
         Progress and cancel; warned with code ``duplicate-capture`` of content that the session has already.
 
@@ -68,20 +71,23 @@ def ingest(
     Interrupted
         Cancelled; the session has not changed.
     NotInThisVersion
-        A raw format, or a calibration.
+        A raw photo.
+    UsageError
+        A calibration, and no raw light field.
     """
-    if calibration is not None:
-        raise NotInThisVersion("--calibration", remedy="leave it out")
     monitor = monitor or Monitor()
-    request = Request(kind, pattern)
+    known_calibration = open_calibration(Path(calibration)) if calibration is not None else None
+    request = Request(kind, pattern, known_calibration)
     candidates = [recognise(Path(source), request) for source in sources]
+    refuse_unused(known_calibration, used=any(_uses(found, known_calibration) for found in candidates))
     with _session(Path(session_path)) as store:
         known = _known_content(store)
         fresh: dict[Content, Candidate] = {}
         for found in candidates:
             if _key(found) not in known:
                 fresh.setdefault(_key(found), found)
-        with monitor.task("ingest", len(fresh)):
+        needed = known_calibration if any(_uses(found, known_calibration) for found in fresh.values()) else None
+        with monitor.task("ingest", len(fresh)), kept_calibration(store.path, needed, monitor):
             ids = store.add_captures([partial(_build, found, monitor=monitor) for found in fresh.values()])
     ids_by_content = known | dict(zip(fresh, ids, strict=True))
     return [_fate(found, ids_by_content[_key(found)], fresh.get(_key(found)), monitor) for found in candidates]
@@ -95,9 +101,14 @@ def open_light_field(path: Path | str, *, threads: int = 0, monitor: Monitor | N
     BadInput
         It is nothing that can be read, or broken.
     NotInThisVersion
-        A raw light field.
+        A raw photo.
     """
     return recognise(Path(path), Request()).light_field(monitor or Monitor(), threads)
+
+
+def _uses(candidate: Candidate, calibration: SessionCalibration | None) -> bool:
+    raw = candidate.document.raw
+    return calibration is not None and raw is not None and raw.calibration == calibration.name
 
 
 def _key(candidate: Candidate) -> Content:
