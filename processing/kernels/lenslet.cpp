@@ -1,8 +1,8 @@
-// Sensor values to views, tile by tile: flat field, demosaic, lens samples, lens kernel, colour. Twin: lenslet.py.
+// Sensor values to views, tile by tile: flat field, lenses read, lens kernel, colour. Twin: lenslet.py.
 //
-// A tile of view pixels needs a patch of the sensor; the patch is developed into RGB and weight, each of its lenses is
-// read at every view's offset, and each view pixel is a weighted sum over the lenses around it. Nothing but the views
-// leaves the cache.
+// A tile of view pixels needs a patch of the sensor; the patch is flat-fielded, each of its lenses is read at every
+// view's offset (colours and fraction of a pixel at once), and each view pixel is a weighted sum over the lenses around
+// it. Nothing but the views leaves the cache.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 
@@ -26,7 +26,9 @@ using Output = ndarray<T, nb::ndim<N>, nb::c_contig, nb::device::cpu>;
 
 constexpr int TILE = 64;     // view columns
 constexpr int CHANNELS = 4;  // red, green, blue, weight
-constexpr int REACH = 2;     // of the demosaic [px]
+constexpr int REACH = 2;     // of a reading [px]
+constexpr int SIDE = 2 * REACH + 1;
+constexpr int TAPS = SIDE * SIDE;
 
 struct Sensor {
     const uint16_t *values, *modulation;
@@ -41,12 +43,13 @@ struct Sensor {
 struct Lenses {
     double ox, oy, along_x, along_y, up_x, up_y;  // origin, step of i, step of j without its half shift
     const float *offsets;                         // [views, 2] sensor px
-    int views;
+    const float *reading;                         // [4, bins, bins, views, TAPS, CHANNELS]
+    int views, bins;
 };
 
 struct Patch {
-    int x0, y0, width, height;  // in the sensor, x0 and y0 even
-    std::vector<float> rgbw;    // [height, width, 4]
+    int x0, y0, width, height;  // in the sensor; beyond its border the pixels are mirrored
+    std::vector<float> light;   // [height, width, CHANNELS]: the value three times, and its weight
 };
 
 inline int mirrored(int i, int n) { return i < 0 ? -i : (i >= n ? 2 * n - 2 - i : i); }
@@ -107,77 +110,37 @@ LFRIG_CLONES void develop_row(const Sensor &s, int x0, int y, int width, float *
     }
 }
 
-// Malvar, He, Cutler (ICASSP 2004): bilinear interpolation corrected by the gradient of the colour that is there.
-// `up`, `down` are rows -1 and +1, `up2`, `down2` rows -2 and +2. `w*` are rows of weights.
-LFRIG_CLONES void demosaic_row(const float *up2, const float *up, const float *c, const float *down, const float *down2,
-                               const float *wu, const float *wc, const float *wd, const int colour[2], int width,
-                               float *green, float *across, float *along, float *diagonal, float *weight, float *out) {
-    for (int x = 0; x < width; ++x) {
-        const float h1 = c[x - 1] + c[x + 1], v1 = up[x] + down[x], h2 = c[x - 2] + c[x + 2], v2 = up2[x] + down2[x];
-        const float d = (up[x - 1] + up[x + 1]) + (down[x - 1] + down[x + 1]);
-        green[x] = (4.0f * c[x] + 2.0f * (h1 + v1) - (h2 + v2)) * 0.125f;
-        across[x] = (5.0f * c[x] + 4.0f * h1 - d - h2 + 0.5f * v2) * 0.125f;
-        along[x] = (5.0f * c[x] + 4.0f * v1 - d - v2 + 0.5f * h2) * 0.125f;
-        diagonal[x] = (6.0f * c[x] + 2.0f * d - 1.5f * (h2 + v2)) * 0.125f;
-    }
-    // A pixel's colours lean on its neighbours: so does its weight (binomial 3x3).
-    for (int x = 0; x < width; ++x)
-        weight[x] = ((wu[x - 1] + 2.0f * wu[x] + wu[x + 1]) + 2.0f * (wc[x - 1] + 2.0f * wc[x] + wc[x + 1]) +
-                     (wd[x - 1] + 2.0f * wd[x] + wd[x + 1])) * 0.0625f;
-    for (int parity = 0; parity < 2; ++parity) {
-        const int here = colour[parity], beside = colour[1 - parity];
-        for (int x = parity; x < width; x += 2) {
-            float *p = out + size_t(x) * CHANNELS;
-            if (here == 1) {
-                p[beside] = across[x];
-                p[1] = c[x];
-                p[2 - beside] = along[x];
-            } else {
-                p[here] = c[x];
-                p[1] = green[x];
-                p[2 - here] = diagonal[x];
-            }
-            p[3] = weight[x];
-        }
-    }
-}
-
-// Hot pixels of the patch and its margin, and their mirror images beyond the sensor's border.
-void replace_hot(const Sensor &s, const Patch &patch, float *mosaic, float *weight) {
-    const int pitch = patch.width + 2 * REACH, rows = patch.height + 2 * REACH;
+// Hot pixels of the patch, and their mirror images beyond the sensor's border.
+void replace_hot(const Sensor &s, Patch &patch) {
     for (int n = 0; n < s.hot_count; ++n) {
         const int x = s.hot[2 * n], y = s.hot[2 * n + 1];
         const int xs[3] = {x, -x, 2 * (s.width - 1) - x}, ys[3] = {y, -y, 2 * (s.height - 1) - y};
         for (int my : ys) {
-            const int py = my - patch.y0 + REACH;
-            if (py < 0 || py >= rows) continue;
+            const int py = my - patch.y0;
+            if (py < 0 || py >= patch.height) continue;
             for (int mx : xs) {
-                const int px = mx - patch.x0 + REACH;
-                if (px < 0 || px >= pitch) continue;
-                mosaic[size_t(py) * pitch + px] = without_hot(s, x, y);
-                weight[size_t(py) * pitch + px] = 0;
+                const int px = mx - patch.x0;
+                if (px < 0 || px >= patch.width) continue;
+                float *at = &patch.light[(size_t(py) * patch.width + px) * CHANNELS];
+                at[0] = at[1] = at[2] = without_hot(s, x, y);
+                at[3] = 0;
             }
         }
     }
 }
 
 void develop(const Sensor &s, Patch &patch) {
-    const int pitch = patch.width + 2 * REACH;
-    const int rows = patch.height + 2 * REACH;
-    std::vector<float> mosaic(size_t(pitch) * rows), weights(size_t(pitch) * rows), scratch(size_t(patch.width) * 5);
-    for (int r = 0; r < rows; ++r)
-        develop_row(s, patch.x0 - REACH, patch.y0 - REACH + r, pitch, &mosaic[size_t(r) * pitch],
-                    &weights[size_t(r) * pitch]);
-    replace_hot(s, patch, mosaic.data(), weights.data());
-    patch.rgbw.resize(size_t(patch.width) * patch.height * CHANNELS);
-    float *t = scratch.data();
-    const int w = patch.width;
+    std::vector<float> mosaic(patch.width), weight(patch.width);
+    patch.light.resize(size_t(patch.width) * patch.height * CHANNELS);
     for (int y = 0; y < patch.height; ++y) {
-        const float *m = &mosaic[size_t(y + REACH) * pitch + REACH], *g = &weights[size_t(y + REACH) * pitch + REACH];
-        const int k = 2 * ((patch.y0 + y) & 1);
-        demosaic_row(m - 2 * pitch, m - pitch, m, m + pitch, m + 2 * pitch, g - pitch, g, g + pitch, s.colour + k, w, t,
-                     t + w, t + 2 * w, t + 3 * w, t + 4 * w, &patch.rgbw[size_t(y) * w * CHANNELS]);
+        develop_row(s, patch.x0, patch.y0 + y, patch.width, mosaic.data(), weight.data());
+        float *out = &patch.light[size_t(y) * patch.width * CHANNELS];
+        for (int x = 0; x < patch.width; ++x, out += CHANNELS) {
+            out[0] = out[1] = out[2] = mosaic[x];
+            out[3] = weight[x];
+        }
     }
+    replace_hot(s, patch);
 }
 
 // A position beyond the sensor moves inwards by whole lenses: there the same view is seen, a pixel or two away.
@@ -229,14 +192,30 @@ Patch patch_of(const Sensor &s, const Lenses &l, const LensBlock &block) {
         double a = low[k] - reach - 1, b = high[k] + reach + 2;
         if (a < 1) b = std::max(b, extra);
         if (b > size[k] - 2) a = std::min(a, size[k] - 1 - extra);
-        from[k] = std::min(std::max(int(std::floor(a)), 0), size[k] - 2) & ~1;
-        to[k] = std::min(std::max(int(std::ceil(b)), from[k] + 1), size[k] - 1);
+        from[k] = std::min(std::max(int(std::floor(a)), 0), size[k] - 1) - REACH;
+        to[k] = std::min(std::max(int(std::ceil(b)), 0), size[k] - 1) + REACH;
     }
     return Patch{from[0], from[1], to[0] - from[0] + 1, to[1] - from[1] + 1, {}};
 }
 
-// Every lens of the block at every view's offset, bilinear: out [rows, columns, views, 4].
-void read_lenses(const Sensor &s, const Lenses &l, const LensBlock &block, const Patch &patch, float *out) {
+// The pixels around a point, weighted: red, green, blue, weight. A column of pixels at a time has its own sums, so that
+// they do not wait for each other.
+inline void read_point(const float *p, size_t pitch, const float *weights, float *out) {
+    constexpr int WIDE = SIDE * CHANNELS;
+    float sum[WIDE];
+    for (int k = 0; k < WIDE; ++k) sum[k] = weights[k] * p[k];
+    for (int dy = 1; dy < SIDE; ++dy)
+        for (int k = 0; k < WIDE; ++k) sum[k] += weights[dy * WIDE + k] * p[dy * pitch + k];
+    for (int c = 0; c < CHANNELS; ++c) {
+        float total = sum[c];
+        for (int k = CHANNELS; k < WIDE; k += CHANNELS) total += sum[k + c];
+        out[c] = total;
+    }
+}
+
+// Every lens of the block at every view's offset: out [rows, columns, views, CHANNELS].
+LFRIG_CLONES void read_lenses(const Sensor &s, const Lenses &l, const LensBlock &block, const Patch &patch, float *out) {
+    const size_t per_view = size_t(TAPS) * CHANNELS, per_bin = per_view * l.views;
     for (int j = block.j0; j <= block.j1; ++j)
         for (int i = block.i0; i <= block.i1; ++i) {
             double cx, cy;
@@ -244,16 +223,14 @@ void read_lenses(const Sensor &s, const Lenses &l, const LensBlock &block, const
             for (int v = 0; v < l.views; ++v, out += CHANNELS) {
                 double x = cx + l.offsets[2 * v], y = cy + l.offsets[2 * v + 1];
                 const bool in = inside(s, l, x, y);
-                const int ix = std::min(std::max(int(x) - patch.x0, 0), patch.width - 2);
-                const int iy = std::min(std::max(int(y) - patch.y0, 0), patch.height - 2);
-                const float fx = float(x - patch.x0 - ix), fy = float(y - patch.y0 - iy);
-                const float *p = &patch.rgbw[(size_t(iy) * patch.width + ix) * CHANNELS];
-                const float *q = p + size_t(patch.width) * CHANNELS;
-                for (int c = 0; c < CHANNELS; ++c) {
-                    const float top = p[c] + fx * (p[c + CHANNELS] - p[c]);
-                    const float bottom = q[c] + fx * (q[c + CHANNELS] - q[c]);
-                    out[c] = top + fy * (bottom - top);
-                }
+                const int ix = int(x + 0.5), iy = int(y + 0.5);  // the nearest pixel, and where in it the point lies
+                const int bx = std::min(int((x + 0.5 - ix) * l.bins), l.bins - 1);
+                const int by = std::min(int((y + 0.5 - iy) * l.bins), l.bins - 1);
+                const size_t bin = (size_t(cell(ix, iy)) * l.bins + by) * l.bins + bx;
+                const int px = std::min(std::max(ix - REACH - patch.x0, 0), patch.width - SIDE);
+                const int py = std::min(std::max(iy - REACH - patch.y0, 0), patch.height - SIDE);
+                read_point(&patch.light[(size_t(py) * patch.width + px) * CHANNELS], size_t(patch.width) * CHANNELS,
+                           l.reading + bin * per_bin + v * per_view, out);
                 if (!in) out[3] = 0;
             }
         }
@@ -318,7 +295,7 @@ void decode_tile(const Sensor &s, const Lenses &l, const Target &t, int x0, int 
 // cell. `levels`: unit, floor and dark of the modulation. `lattice`: origin, step of i, step of j.
 void decode_rows(Array<uint16_t, 2> values, Array<uint16_t, 2> modulation, Array<float, 2> cells,
                  Array<float, 1> levels, Array<int32_t, 2> hot, Array<double, 1> lattice, Array<float, 2> offsets,
-                 Array<int32_t, 3> lens, Array<float, 2> kernel, Array<float, 2> matrix, Array<uint8_t, 1> lut,
+                 Array<float, 6> reading, Array<int32_t, 3> lens, Array<float, 2> kernel, Array<float, 2> matrix, Array<uint8_t, 1> lut,
                  Output<uint8_t, 4> views, Output<uint8_t, 3> weight, nb::object linear, int y0, int y1, int threads) {
     Sensor s{};
     s.values = values.data(), s.modulation = modulation.data();
@@ -327,7 +304,8 @@ void decode_rows(Array<uint16_t, 2> values, Array<uint16_t, 2> modulation, Array
     const int width = int(views.shape(2));
     if (modulation.shape(0) != values.shape(0) || modulation.shape(1) != values.shape(1) || cells.shape(0) != 4 ||
         cells.shape(1) != 4 || levels.shape(0) != 3 || hot.shape(1) != 2 || lattice.shape(0) != 6 ||
-        offsets.shape(1) != 2 || lens.shape(2) != 2 || int(kernel.shape(0)) != height ||
+        offsets.shape(1) != 2 || reading.shape(0) != 4 || reading.shape(1) != reading.shape(2) ||
+        int(reading.shape(3)) != count || reading.shape(4) != TAPS || reading.shape(5) != CHANNELS || lens.shape(2) != 2 || int(kernel.shape(0)) != height ||
         int(kernel.shape(1)) != taps || matrix.shape(0) != 3 || matrix.shape(1) != 3 || lut.shape(0) < 2 ||
         int(views.shape(0)) != count || int(views.shape(1)) != height || views.shape(3) != 3 ||
         int(weight.shape(0)) != count || int(weight.shape(1)) != height || int(weight.shape(2)) != width || y0 < 0 ||
@@ -341,7 +319,8 @@ void decode_rows(Array<uint16_t, 2> values, Array<uint16_t, 2> modulation, Array
     s.unit = levels.data()[0], s.floor = levels.data()[1], s.dark = levels.data()[2];
     s.hot = hot.data(), s.hot_count = int(hot.shape(0));
     const double *d = lattice.data();
-    const Lenses l{d[0], d[1], d[2], d[3], d[4], d[5], offsets.data(), count};
+    const Lenses l{d[0], d[1], d[2], d[3], d[4], d[5], offsets.data(), reading.data(), count,
+                   int(reading.shape(1))};
     Target t{width, height, taps, int(lut.shape(0)), lens.data(), kernel.data(), matrix.data(), lut.data(),
              views.data(), weight.data(), nullptr};
     if (!linear.is_none()) {
@@ -360,7 +339,7 @@ void decode_rows(Array<uint16_t, 2> values, Array<uint16_t, 2> modulation, Array
 void register_lenslet(nb::module_ &m) {
     m.def("decode_rows", &decode_rows, nb::arg("values").noconvert(), nb::arg("modulation").noconvert(),
           nb::arg("cells").noconvert(), nb::arg("levels").noconvert(), nb::arg("hot").noconvert(),
-          nb::arg("lattice").noconvert(), nb::arg("offsets").noconvert(), nb::arg("lens").noconvert(),
+          nb::arg("lattice").noconvert(), nb::arg("offsets").noconvert(), nb::arg("reading").noconvert(), nb::arg("lens").noconvert(),
           nb::arg("kernel").noconvert(), nb::arg("matrix").noconvert(), nb::arg("lut").noconvert(),
           nb::arg("views").noconvert(), nb::arg("weight").noconvert(), nb::arg("linear").none(), nb::arg("y0"),
           nb::arg("y1"), nb::arg("threads"));

@@ -1,7 +1,7 @@
-"""Sensor values to views: flat field, demosaic, lens samples, lens kernel, colour. C++ form: ``lenslet.cpp``.
+"""Sensor values to views: flat field, lenses read, lens kernel, colour. C++ form: ``lenslet.cpp``.
 
-A view pixel is a weighted sum over the lenses around it, each read at the view's offset from its centre; what is read
-is the sensor developed to RGB and weight.
+A view pixel is a weighted sum over the lenses around it, and each lens is read at the view's offset from its centre: a
+weighted sum over the 5×5 pixels there, which gives red, green, blue and a weight.
 """
 
 from __future__ import annotations
@@ -18,6 +18,9 @@ from lfrig.processing.model import F32, F64, U8
 I32 = NDArray[np.int32]
 U16 = NDArray[np.uint16]
 
+REACH = 2
+"""Pixels to each side of the nearest one that a reading uses."""
+SIDE = 2 * REACH + 1
 ROWS_AT_ONCE = 48
 """View rows per call of the native form: between calls progress is told and a cancel is noticed."""
 
@@ -49,7 +52,9 @@ class LensSampling:
     """Where the views are on the sensor.
 
     Lens (i, j) is centred at ``origin + (i + ½ (j mod 2)) along + j up`` [px]; view v is read at ``offsets[v]``,
-    float32 [V, 2] (x, y) sensor px, from it. View pixel (x, y) sums ``weights[y, t]`` times lens ``(lenses[y, t, 0] + x,
+    float32 [V, 2] (x, y) sensor px, from it, with the weights ``reading``, float32 [4, B, B, V, 25, 4]: by the place in
+    the Bayer cell of the nearest pixel, by the point's y and x within that pixel, and per pixel around it for red,
+    green, blue and weight. View pixel (x, y) sums ``weights[y, t]`` times lens ``(lenses[y, t, 0] + x,
     lenses[y, t, 1])``: float32 and int32 [H, T(, 2)]; all pixels of a view row lie alike between the lenses.
     """
 
@@ -57,6 +62,7 @@ class LensSampling:
     along: tuple[float, float]
     up: tuple[float, float]
     offsets: F32
+    reading: F32
     lenses: I32
     weights: F32
     width: int
@@ -128,7 +134,8 @@ def _native_arguments(sensor: SensorPlanes, lenses: LensSampling, colours: Colou
         np.ascontiguousarray(sensor.values, np.uint16), np.ascontiguousarray(sensor.modulation, np.uint16),
         np.ascontiguousarray(cells), np.array([sensor.unit, sensor.floor, sensor.dark], np.float32),
         _in_reading_order(sensor.hot), np.array([*lenses.origin, *lenses.along, *lenses.up], np.float64),
-        np.ascontiguousarray(lenses.offsets, np.float32), np.ascontiguousarray(lenses.lenses, np.int32),
+        np.ascontiguousarray(lenses.offsets, np.float32), np.ascontiguousarray(lenses.reading, np.float32),
+        np.ascontiguousarray(lenses.lenses, np.int32),
         np.ascontiguousarray(lenses.weights, np.float32), np.ascontiguousarray(colours.matrix, np.float32),
         np.ascontiguousarray(colours.lut, np.uint8),
     )  # fmt: skip
@@ -139,7 +146,10 @@ def _in_reading_order(hot: I32) -> I32:
 
 
 def develop_numpy(sensor: SensorPlanes) -> F32:
-    """NumPy twin, first half: the sensor as float32 [Hs, Ws, 4] red, green, blue (white-balanced linear), weight."""
+    """NumPy twin, first half: the sensor as float32 [Hs + 4, Ws + 4, 2], its borders mirrored.
+
+    White-balanced linear light of each pixel's own colour, and its weight.
+    """
     shape = sensor.values.shape
     mosaic, weight = np.empty(shape, np.float32), np.empty(shape, np.float32)
     for k in range(4):
@@ -150,7 +160,7 @@ def develop_numpy(sensor: SensorPlanes) -> F32:
         mosaic[site] /= np.maximum(m, np.float32(sensor.floor))
         weight[site] = np.where((value < sensor.saturated[k]) & (m >= np.float32(sensor.dark)), np.minimum(m, 1), 0)
     _replace_hot(mosaic, weight, sensor.hot)
-    return _demosaic(mosaic, weight, sensor.colours)
+    return np.pad(np.stack([mosaic, weight], -1), ((REACH, REACH), (REACH, REACH), (0, 0)), mode="reflect")
 
 
 def _replace_hot(mosaic: F32, weight: F32, hot: I32) -> None:
@@ -170,42 +180,12 @@ def _mirror(i: int, n: int) -> int:
     return -i if i < 0 else (2 * n - 2 - i if i >= n else i)
 
 
-def _demosaic(mosaic: F32, weight: F32, colours: tuple[int, ...]) -> F32:
-    """Bilinear with gradient correction (Malvar, He, Cutler, ICASSP 2004); the weight binomial over 3×3."""
-    height, width = mosaic.shape
-    padded = np.pad(mosaic, 2, mode="reflect")
-
-    def at(dx: int, dy: int) -> F32:
-        return padded[2 + dy : 2 + dy + height, 2 + dx : 2 + dx + width]
-
-    c = at(0, 0)
-    h1, v1, h2, v2 = at(-1, 0) + at(1, 0), at(0, -1) + at(0, 1), at(-2, 0) + at(2, 0), at(0, -2) + at(0, 2)
-    d = (at(-1, -1) + at(1, -1)) + (at(-1, 1) + at(1, 1))
-    green = (4 * c + 2 * (h1 + v1) - (h2 + v2)) / 8
-    across = (5 * c + 4 * h1 - d - h2 + 0.5 * v2) / 8
-    along = (5 * c + 4 * v1 - d - v2 + 0.5 * h2) / 8
-    diagonal = (6 * c + 2 * d - 1.5 * (h2 + v2)) / 8
-    out = np.empty((height, width, 4), np.float32)
-    for k, colour in enumerate(colours):
-        site = np.s_[k // 2 :: 2, k % 2 :: 2]
-        out[site][..., colour] = c[site]
-        if colour == 1:
-            beside = colours[k ^ 1]
-            out[site][..., beside], out[site][..., 2 - beside] = across[site], along[site]
-        else:
-            out[site][..., 1], out[site][..., 2 - colour] = green[site], diagonal[site]
-    padded = np.pad(weight, 1, mode="reflect")
-    rows = padded[:, :-2] + 2 * padded[:, 1:-1] + padded[:, 2:]
-    out[..., 3] = (rows[:-2] + 2 * rows[1:-1] + rows[2:]) / 16
-    return out
-
-
 def view_numpy(developed: F32, lenses: LensSampling, view: int) -> F32:
     """NumPy twin, second half: one view, float32 [H, W, 4] linear red, green, blue and weight."""
     used = lenses.lenses
     i = np.arange(used[..., 0].min(), used[..., 0].max() + lenses.width)
     j = np.arange(used[..., 1].min(), used[..., 1].max() + 1)
-    samples = _read_lenses(developed, lenses, i[None], j[:, None], lenses.offsets[view])
+    samples = _read_lenses(developed, lenses, i[None], j[:, None], view)
     out = np.zeros((used.shape[0], lenses.width, 4), np.float32)
     x = np.arange(lenses.width)
     for t in range(used.shape[1]):
@@ -214,9 +194,27 @@ def view_numpy(developed: F32, lenses: LensSampling, view: int) -> F32:
     return out
 
 
-def _read_lenses(developed: F32, lenses: LensSampling, i: NDArray[np.int64], j: NDArray[np.int64], offset: F32) -> F32:
-    """Every lens at one view's offset, bilinear; those beyond the sensor read a lens further in, at weight 0."""
-    height, width = developed.shape[:2]
+def _read_lenses(developed: F32, lenses: LensSampling, i: NDArray[np.int64], j: NDArray[np.int64], view: int) -> F32:
+    """Every lens at one view's offset, float32 [..., 4]; for one beyond the sensor another further in, at weight 0."""
+    height, width = (n - 2 * REACH for n in developed.shape[:2])
+    x, y, outside = _points(lenses, i, j, lenses.offsets[view], width, height)
+    ix, iy = (x + 0.5).astype(int), (y + 0.5).astype(int)
+    bins = lenses.reading.shape[1]
+    bx, by = (np.minimum(((p + 0.5 - n) * bins).astype(int), bins - 1) for p, n in ((x, ix), (y, iy)))
+    weights = lenses.reading[2 * (iy % 2) + ix % 2, by, bx, view]
+    out = np.zeros((*x.shape, 4), np.float32)
+    for tap in range(weights.shape[-2]):
+        value = developed[iy + tap // SIDE, ix + tap % SIDE]
+        out[..., :3] += weights[..., tap, :3] * value[..., :1]
+        out[..., 3] += weights[..., tap, 3] * value[..., 1]
+    out[outside, 3] = 0
+    return out
+
+
+def _points(
+    lenses: LensSampling, i: NDArray[np.int64], j: NDArray[np.int64], offset: F32, width: int, height: int
+) -> tuple[F64, F64, NDArray[np.bool_]]:
+    """Where lenses are read; points beyond the sensor move inwards by whole lenses, and which those are."""
     across = i + 0.5 * np.mod(j, 2)
     x: F64 = lenses.origin[0] + across * lenses.along[0] + j * lenses.up[0] + float(offset[0])
     y: F64 = lenses.origin[1] + across * lenses.along[1] + j * lenses.up[1] + float(offset[1])
@@ -230,14 +228,7 @@ def _read_lenses(developed: F32, lenses: LensSampling, i: NDArray[np.int64], j: 
         sideways, upwards = left.astype(int) - right, 2 * (above.astype(int) - below)
         x = x + sideways * lenses.along[0] + upwards * lenses.up[0]
         y = y + sideways * lenses.along[1] + upwards * lenses.up[1]
-    x, y = np.clip(x, 0, width - 1), np.clip(y, 0, height - 1)
-    ix, iy = np.minimum(x.astype(int), width - 2), np.minimum(y.astype(int), height - 2)
-    fx, fy = ((x - ix).astype(np.float32)[..., None], (y - iy).astype(np.float32)[..., None])
-    top = developed[iy, ix] + fx * (developed[iy, ix + 1] - developed[iy, ix])
-    bottom = developed[iy + 1, ix] + fx * (developed[iy + 1, ix + 1] - developed[iy + 1, ix])
-    out = np.asarray(top + fy * (bottom - top), np.float32)
-    out[outside, 3] = 0
-    return out
+    return np.clip(x, 0, width - 1), np.clip(y, 0, height - 1), outside
 
 
 def displayed_numpy(found: F32, colours: Colours) -> tuple[U8, U8, F32]:

@@ -104,11 +104,12 @@ def decode(
         modulation = at_peak(modulation, lattice)
     if metadata.white_balance is None:
         monitor.warn("no-white-balance", f"{raw.path}: no white balance is recorded; the white image's is used")
-    sampling = lens_sampling(lattice, raw.sensor.shape, view_size(metadata), [(r, c) for r in steps for c in steps])
+    planes = sensor_planes(raw.sensor, metadata, modulation, raw.hot_pixels)
+    grid = [(r, c) for r in steps for c in steps]
+    sampling = lens_sampling(lattice, raw.sensor.shape, view_size(metadata), grid, planes.colours)
     pixels, weight, light = decode_views(
-        sensor_planes(raw.sensor, metadata, modulation, raw.hot_pixels), sampling,
-        Colours(colour_matrix(metadata), srgb_lut()), linear=linear, threads=threads, monitor=monitor,
-    )  # fmt: skip
+        planes, sampling, Colours(colour_matrix(metadata), srgb_lut()), linear=linear, threads=threads, monitor=monitor
+    )
     n, shape = len(steps), pixels.shape[1:3]
     camera, optics = camera_and_optics(_with_fitted_pitch(metadata, lattice))
     if camera is not None:

@@ -22,7 +22,7 @@ U16 = NDArray[np.uint16]
 FULL_SCALE = 40000
 """Modulation as stored at the white image's white level, a margin left above."""
 LENSES_PER_BLOCK = 6
-STRIPE_ROWS = 512
+STRIPE_ROWS = 32
 SMOOTH_RADIUS = 0.85
 """The white image is smoothed where all pixels that the views use lie inside this part of a lens's radius."""
 
@@ -70,8 +70,7 @@ def equalised(values: U16, metadata: RawMetadata) -> tuple[U16, ColourValues]:
             f"white level {min(white):g} is not above black {max(black):g}", field="pixelFormat", code="levels",
             remedy="the metadata are damaged",
         )  # fmt: skip
-    means = np.array([values[k // 2 :: 2, k % 2 :: 2].mean(dtype=np.float64) for k in range(4)])
-    level = (means - black) / (white - black)
+    level = (_site_means(values) - black) / (white - black)
     if (level <= 1e-4).any():
         raise BadInput("is black in at least one colour", code="black-image", remedy="use another white image")
     green = np.mean([level[k] for k in range(4) if metadata.bayer[k] == "G"])
@@ -86,6 +85,13 @@ def equalised(values: U16, metadata: RawMetadata) -> tuple[U16, ColourValues]:
             out[stripe] = np.clip(part, 0, 65535, out=part)
     r, gr, gb, b = (float(gain[sites.index(n)]) for n in range(4))
     return out, (r, gr, gb, b)
+
+
+def _site_means(values: U16) -> NDArray[np.float64]:
+    """Mean of each position in the 2×2 cell, float64 [4]."""
+    columns = [values[row::2].sum(0, dtype=np.uint64) for row in (0, 1)]  # whole rows at a time: several times faster
+    sums = [columns[k // 2][k % 2 :: 2].sum() for k in range(4)]
+    return np.array([total / values[k // 2 :: 2, k % 2 :: 2].size for k, total in enumerate(sums)])
 
 
 def _tiled(pair: NDArray[np.float64], width: int) -> NDArray[np.float32]:

@@ -10,7 +10,9 @@ from __future__ import annotations
 import numpy as np
 
 from lfrig.processing.kernels.lenslet import LensSampling
+from lfrig.processing.lenslet.covariance import matern
 from lfrig.processing.lenslet.lattice import ROW_RISE, HexLattice
+from lfrig.processing.lenslet.reading import reading_weights
 from lfrig.processing.model import F32, F64
 
 TAPS = 14
@@ -22,7 +24,11 @@ NOISE_SHARE = 0.003
 
 
 def lens_sampling(
-    lattice: HexLattice, sensor: tuple[int, int], view_size: tuple[int, int], steps: list[tuple[int, int]]
+    lattice: HexLattice,
+    sensor: tuple[int, int],
+    view_size: tuple[int, int],
+    steps: list[tuple[int, int]],
+    colours: tuple[int, int, int, int],
 ) -> LensSampling:
     """Where the views are on the sensor.
 
@@ -34,6 +40,8 @@ def lens_sampling(
         Of a view [px].
     steps : list of (row, column)
         Offsets of the views from the centre view, in view steps.
+    colours : 4 ints
+        0 red, 1 green, 2 blue of the 2×2 Bayer cell, row by row.
     """
     width, height = view_size
     along, up = lattice.axes.T
@@ -48,7 +56,7 @@ def lens_sampling(
     offsets = np.array([c * along + r * up for r, c in steps], np.float32)
     return LensSampling(
         lattice.origin, _pair(along * lattice.pitch_px), _pair(up * lattice.row_rise_px), offsets,
-        lenses.astype(np.int32), weights, width,
+        reading_weights(colours, offsets, lattice.pitch_px / 2), lenses.astype(np.int32), weights, width,
     )  # fmt: skip
 
 
@@ -82,12 +90,6 @@ def kernel_weights(
     right[:, :taps, 0] = matern(np.take_along_axis(distance, nearest, 1), range_pitches)
     weights = np.linalg.solve(system, right)[:, :taps, 0]
     return candidates[nearest], weights.astype(np.float32)
-
-
-def matern(distance: F64, reach: float) -> F64:
-    """Matérn covariance of smoothness 5/2, 1 at distance 0."""
-    d = np.sqrt(5) * distance / reach
-    return np.asarray((1 + d + d * d / 3) * np.exp(-d))
 
 
 def _pair(vector: F64) -> tuple[float, float]:
