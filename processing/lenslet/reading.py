@@ -56,7 +56,8 @@ def reading_weights(
     -------
     float32 [4, BINS, BINS, V, len(TAPS), 4]
         By the cell position ``2 (y mod 2) + (x mod 2)`` of the nearest pixel, by the bins in y and x of the point's
-        position within it, by view and pixel: weights for red, green, blue, and of the pixel's own weight.
+        position within it, by view and pixel: weights for red, green, blue, which sum to one, and of the pixel's own
+        weight, which sum to the share of the surroundings that lies in the lens.
     """
     within = (np.arange(BINS) + 0.5) / BINS - 0.5
     point = np.stack(np.meshgrid(within, within), -1).reshape(-1, 2)  # of the bins, y first
@@ -122,6 +123,7 @@ def _solve(
         right[:, taps + colour, colour] = 1
     weights = np.empty((count, taps, 4))
     weights[..., :3] = np.linalg.solve(system, right)[:, :taps]
-    near = np.prod(np.maximum(0, 1 - np.abs(TAPS - point[:, None]) / (REACH - 0.25)), -1) * used
-    weights[..., 3] = near / near.sum(1, keepdims=True)
+    # Less than one in all where part of the surroundings is beyond the rim.
+    near = np.exp(-((TAPS - point[:, None]) ** 2).sum(-1))
+    weights[..., 3] = used * near / near.sum(1, keepdims=True)
     return weights
