@@ -27,6 +27,17 @@ from lfrig.bench.accuracy_table import (
 )
 from lfrig.bench.cases import FAR_DEG, FULL, NEAR_DEG, TARGET_DEG, Case, scene_names, shoot_case
 from lfrig.bench.document import write
+from lfrig.bench.inputs import (
+    INPUTS,
+    Input,
+    clean_rows,
+    input_checks,
+    input_rows,
+    input_tables,
+    seen_sources,
+    with_views_of,
+)
+from lfrig.bench.inputs import SETUPS as INPUT_SETUPS
 from lfrig.bench.measure import Cost, Muted, in_fresh_process
 from lfrig.bench.stages import Stage, stage_table
 from lfrig.contracts.bench import BenchDocument
@@ -68,6 +79,7 @@ class Run:
     monitor: Monitor
     measure_memory: bool
     scenes: list[dict[str, Any]] = field(default_factory=list)
+    inputs: list[dict[str, Any]] = field(default_factory=list)
     worst: Worst = field(default_factory=Worst)
 
 
@@ -82,6 +94,7 @@ def run(
     setups: Sequence[Setup] = SETUPS,
     stages: Sequence[str] | None = None,
     noise_sigma: float = 0.0,
+    inputs: Sequence[Input] = INPUTS,
     measure_memory: bool = True,
     cache_dir: Path | None = None,
 ) -> BenchDocument:
@@ -99,13 +112,15 @@ def run(
         Keys of `stages.stage_table` to run; the shipped one is always among them.
     noise_sigma : float
         Noise on the recorded pixels [grey levels].
+    inputs : sequence of {"views", "noisy", "raw"}
+        What else the sources come as, with two sources; ``views`` is what all other rows have.
     measure_memory : bool
         Run the shipped preset once more per case, in a process of its own, for time and peak memory.
     """
     chosen = [s for s in stage_table() if stages is None or s.key in {*stages, SHIPPED}]
     state = Run(chosen, threads, monitor or Monitor(), measure_memory)
     names = scene_names(half, scenes)
-    total = len(names) * len(setups) * len(chosen)
+    total = len(names) * (len(setups) * len(chosen) + (len(inputs) - 1) * len(INPUT_SETUPS))
     with state.monitor.task("bench accuracy", total):
         for scene in names:
             oracles: dict[str, LightFieldScore] | None = None
@@ -116,12 +131,17 @@ def run(
                 )  # fmt: skip
                 oracles = oracles or case_oracles(case, threads, Muted(state.monitor))
                 _run_scene(state, case, [setup for setup in setups if setup.poses == poses], oracles)
+            if oracles is not None and len(inputs) > 1:
+                _run_inputs(state, scene, size, [kind for kind in inputs if kind != "views"], oracles, cache_dir)
     rows = stage_rows(state.scenes, chosen, setups)
+    from_inputs = input_rows([*state.inputs, *clean_rows(state.scenes)]) if state.inputs else []
     _draw(out, state, rows)
     bounded = half == "reporting" and scenes is None and size == FULL and noise_sigma == 0
     return write(
-        out, "accuracy", rows=[*rows, *state.scenes], checks=acceptance(rows) if bounded else [],
-        tables=tables(rows, state.scenes), text=_conditions(names, half, size, noise_sigma, state.scenes),
+        out, "accuracy", rows=[*rows, *from_inputs, *state.scenes, *state.inputs],
+        checks=[*acceptance(rows), *input_checks(from_inputs)] if bounded else [],
+        tables=[*tables(rows, state.scenes), *input_tables(from_inputs, state.inputs)],
+        text=_conditions(names, half, size, noise_sigma, state.scenes),
         pictures=[STAGES_PICTURE, WORST_PICTURE],
     )  # fmt: skip
 
@@ -169,6 +189,31 @@ def _run_scene(state: Run, case: Case, setups: Sequence[Setup], oracles: dict[st
             except GeometryRefused as refusal:
                 row |= {"refused": refusal.code, "message": refusal.message}
             state.scenes.append(row)
+            state.monitor.advance()
+
+
+def _run_inputs(
+    state: Run, scene: str, size: tuple[int, int], kinds: Sequence[Input], oracles: dict[str, LightFieldScore],
+    cache_dir: Path | None,
+) -> None:  # fmt: skip
+    """The shipped preset on one scene with noise and from raw files; the pixels are the same for all poses."""
+    shipped = next(stage for stage in state.stages if stage.key == SHIPPED)
+    for kind in kinds:
+        sources = seen_sources(kind, scene, size, threads=state.threads, cache_dir=cache_dir)
+        for setup in INPUT_SETUPS:
+            clean = shoot_case(
+                scene, size, poses=setup.poses, angles_deg=NEAR_DEG, threads=state.threads, cache_dir=cache_dir
+            )
+            case = with_views_of(clean, sources)
+            row: dict[str, Any] = {"kind": "input scene", "scene": scene, "setup": setup.name, "input": kind}
+            try:
+                result = process(
+                    case.sources, case.target, case.prior, _options(case, shipped, state.threads), Muted(state.monitor)
+                )
+                row |= _scene_row(result, case, oracles, NOTHING, state)
+            except GeometryRefused as refusal:
+                row |= {"refused": refusal.code, "message": refusal.message}
+            state.inputs.append(row)
             state.monitor.advance()
 
 
