@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from lfrig.contracts.errors import BadInput, UsageError
+from lfrig.contracts.errors import BadInput, DiskError, UsageError
 from lfrig.contracts.files import atomic_write_text
 from lfrig.contracts.progress import Monitor, Notice
 from lfrig.processing.kernels.lenslet import Colours, decode_views
@@ -81,7 +81,7 @@ def decode(
     lattice_cache : Path, optional
         Folder for fitted lattices, by white image and metadata; about 0.3 KB each.
     monitor : Monitor, optional
-        Warned with code ``lattice-from-shot`` or ``no-white-balance``.
+        Warned with code ``lattice-from-shot``, ``no-white-balance`` or ``cache-not-written``.
 
     Raises
     ------
@@ -161,8 +161,15 @@ def _lattice(raw: RawCapture, modulation: Modulation, cache: Path | None, monito
     if found is None:
         found = fit_lattice(modulation.values, *start)
         if path:
-            atomic_write_text(path, json.dumps({"schema": LATTICE_SCHEMA, **found.as_dict()}) + "\n")
+            _keep_lattice(path, found, monitor)
     return found
+
+
+def _keep_lattice(path: Path, lattice: HexLattice, monitor: Monitor) -> None:
+    try:
+        atomic_write_text(path, json.dumps({"schema": LATTICE_SCHEMA, **lattice.as_dict()}) + "\n")
+    except DiskError as error:
+        monitor.warn("cache-not-written", f"the lens lattice is not kept: {error.message}")
 
 
 def _lattice_key(white_sha1: str, white: NDArray[np.uint16], start: tuple[float, float, float]) -> str:

@@ -16,7 +16,7 @@ from PIL import Image as Pillow
 
 from lfrig.contracts import files
 from lfrig.contracts.capture import CameraSpec, CaptureDocument, ViewsSpec
-from lfrig.contracts.errors import BadInput, DiskError, Interrupted, NotInThisVersion
+from lfrig.contracts.errors import BadInput, DiskError, Interrupted
 from lfrig.contracts.progress import Monitor
 from lfrig.contracts.session import RigSpec, SessionDocument
 from lfrig.rig.session.images import encode_png, write_png
@@ -293,7 +293,7 @@ def test_a_listed_capture_that_is_not_there_is_named(tmp_path: Path) -> None:
         SessionStore.open(tmp_path).captures()
 
 
-def test_the_wrong_kind_and_raw_light_fields_are_refused(tmp_path: Path) -> None:
+def test_the_wrong_kind_and_raw_files_that_are_gone_are_refused(tmp_path: Path) -> None:
     store = by_hand(
         tmp_path / "s",
         {
@@ -304,7 +304,7 @@ def test_the_wrong_kind_and_raw_light_fields_are_refused(tmp_path: Path) -> None
     with pytest.raises(BadInput, match="is a photo"):
         store.load_light_field("000")
     for call in (store.load_light_field, store.load_photo):
-        with pytest.raises(NotInThisVersion, match="raw"):
+        with pytest.raises(BadInput, match=r"capture\.lfr"):
             call("001")
 
 
