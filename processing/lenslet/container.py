@@ -114,6 +114,11 @@ class Container:
                 f"is {section.length} bytes of JSON, more than {limits.json_bytes}", path=self.path,
                 field=section.reference, code="too-large", remedy=COPY_AGAIN,
             )  # fmt: skip
+        if not section.whole:
+            raise BadInput(
+                f"only {section.length} bytes of it are there", path=self.path, field=section.reference,
+                code="truncated", remedy=COPY_AGAIN,
+            )  # fmt: skip
         return parse_json_object(self.data(section), self.path, section.reference, limits.json_depth)
 
     def check(self) -> None:
