@@ -146,7 +146,7 @@ def _modulation(raw: RawCapture, outermost: int) -> Modulation:
             path=raw.white.name, code="wrong-size", remedy="use this camera's calibration",
         )  # fmt: skip
     smooth = may_smooth(raw.metadata.lens_pitch_px, outermost)
-    return modulation_of(raw.white.sensor, raw.white.metadata, raw.hot_pixels, smooth=smooth)
+    return modulation_of(raw.white.sensor, raw.white.metadata, raw.hot_pixels, smooth=smooth, name=raw.white.name)
 
 
 def _lattice(raw: RawCapture, modulation: Modulation, cache: Path | None, monitor: Monitor) -> HexLattice:
@@ -155,7 +155,7 @@ def _lattice(raw: RawCapture, modulation: Modulation, cache: Path | None, monito
     start = metadata.lens_pitch_px, -metadata.mla_rotation_rad, metadata.mla_aspect
     if raw.white is None:
         monitor.warn("lattice-from-shot", f"{raw.path}: the lens lattice is fitted to the shot itself")
-        return fit_lattice_on_capture(equalised(raw.sensor, metadata)[0], *start)
+        return fit_lattice_on_capture(equalised(raw.sensor, metadata, raw.path)[0], *start)
     path = cache / f"lattice-{_lattice_key(raw.white.sha1, raw.white.sensor, start)}.json" if cache else None
     found = _cached_lattice(path) if path else None
     if found is None:

@@ -7,6 +7,7 @@ without a clip (docs/lenslet.md, Radiometry).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,8 +51,14 @@ def bayer_sites(bayer: BayerPattern) -> tuple[int, int, int, int]:
     return a, b, c, d
 
 
-def equalised(values: U16, metadata: RawMetadata) -> tuple[U16, ColourValues]:
+def equalised(values: U16, metadata: RawMetadata, name: Path | str | None = None) -> tuple[U16, ColourValues]:
     """An image with black subtracted and every Bayer colour scaled to the mean of green.
+
+    Parameters
+    ----------
+    values : uint16 [Hs, Ws]
+    name : Path or str, optional
+        Of the image, for messages.
 
     Returns
     -------
@@ -67,12 +74,12 @@ def equalised(values: U16, metadata: RawMetadata) -> tuple[U16, ColourValues]:
     black, white = np.array(metadata.black)[list(sites)], np.array(metadata.white)[list(sites)]
     if (white <= black).any():
         raise BadInput(
-            f"white level {min(white):g} is not above black {max(black):g}", field="pixelFormat", code="levels",
+            f"white level {min(white):g} is not above black {max(black):g}", path=name, field="pixelFormat", code="levels",
             remedy="the metadata are damaged",
         )  # fmt: skip
     level = (_site_means(values) - black) / (white - black)
     if (level <= 1e-4).any():
-        raise BadInput("is black in at least one colour", code="black-image", remedy="use another white image")
+        raise BadInput("is black in at least one colour", path=name, code="black-image", remedy="use another image")
     green = np.mean([level[k] for k in range(4) if metadata.bayer[k] == "G"])
     gain = green / level
     out = np.empty(values.shape, np.uint16)
@@ -98,7 +105,9 @@ def _tiled(pair: NDArray[np.float64], width: int) -> NDArray[np.float32]:
     return np.resize(pair, width).astype(np.float32)
 
 
-def modulation_of(white: U16, metadata: RawMetadata, hot: NDArray[np.int32], *, smooth: bool) -> Modulation:
+def modulation_of(
+    white: U16, metadata: RawMetadata, hot: NDArray[np.int32], *, smooth: bool, name: str | None = None
+) -> Modulation:
     """The modulation that a white image shows, its unit still that of the white level (see `at_peak`).
 
     ``smooth`` averages its own noise over 3×3 pixels, by binomial weights. That bends the steep rim of the lenses, so
@@ -106,7 +115,7 @@ def modulation_of(white: U16, metadata: RawMetadata, hot: NDArray[np.int32], *, 
     """
     import cv2
 
-    values, gains = equalised(white, metadata)
+    values, gains = equalised(white, metadata, name)
     _mend(values, hot)
     if smooth:
         values = np.asarray(cv2.GaussianBlur(values, (3, 3), 0), np.uint16)
