@@ -74,7 +74,8 @@ def equalised(values: U16, metadata: RawMetadata, name: Path | str | None = None
     black, white = np.array(metadata.black)[list(sites)], np.array(metadata.white)[list(sites)]
     if (white <= black).any():
         raise BadInput(
-            f"white level {min(white):g} is not above black {max(black):g}", path=name, field="pixelFormat", code="levels",
+            f"white level {min(white):g} is not above black {max(black):g}",
+            path=name, field="pixelFormat", code="levels",
             remedy="the metadata are damaged",
         )  # fmt: skip
     level = (_site_means(values) - black) / (white - black)
