@@ -34,7 +34,8 @@ NOT_YET = "not in this version"
     ["ingest", "S", "X", "--as", "hologram"],
     ["capture", "S"],
     ["capture", "S", "--rig", "sim", "--angles", "0:60"],
-    ["bench", "guesses"],
+    ["bench", "guesses"], ["bench", "pareto", "--size", "full"], ["bench", "decode", "--size", "huge"],
+    ["decode", "x.lfr"], ["decode", "x.lfr", "--out", "y", "--views", "9"],
     ["score"],
 ])  # fmt: skip
 def test_nonsense(lfrig, arguments: list[str]) -> None:
@@ -45,7 +46,7 @@ def test_nonsense(lfrig, arguments: list[str]) -> None:
 
 
 @pytest.mark.parametrize("arguments", [
-    ["console"], ["serve", "--port", "1"], ["decode", "x.lfr", "--out", "y"], ["calibrate"], ["calibration", "list"],
+    ["console"], ["serve", "--port", "1"], ["calibrate"], ["calibration", "list"],
     ["models", "verify"], ["cache", "prune"],
     ["process", "S", "--preset", "balanced"], ["process", "S", "--preset", "paper"],
     ["process", "S", "--preset", "preview"],
