@@ -20,7 +20,7 @@ class Content:
 
     Maps are float32 [H, W] or None when unknown: ``disparity`` and ``sigma`` px per view step, ``inverse_depth`` 1/m,
     ``confidence`` 0..1. ``rotation``, ``translation`` are the centre view's pose, X_c = R X + t. ``folder`` holds
-    ``views/RR_CC.png`` already when the content is a result.
+    ``views/RR_CC.png`` already when the content is a result; ``raw`` is the camera's own file of a capture.
     """
 
     name: str
@@ -35,6 +35,7 @@ class Content:
     rotation: F64 | None = None
     translation: F64 | None = None
     folder: Path | None = None
+    raw: Path | None = None
 
     @cached_property
     def views(self) -> Image:
@@ -65,6 +66,13 @@ class Content:
                            remedy="process the session first and export its result")  # fmt: skip
         return self.disparity
 
+    def require_raw(self) -> Path:
+        """The camera's own file, or `BadInput` that says where to find one."""
+        if self.raw is None:
+            raise BadInput("has no raw file of a plenoptic camera", path=self.name, code="no-raw-file",
+                           remedy="give the .lfr or .lfp file, or a capture that was ingested from one")  # fmt: skip
+        return self.raw
+
 
 def content_of_result(result: LoadedResult) -> Content:
     """The synthesized light field of a result folder."""
@@ -87,3 +95,13 @@ def content_of_light_field(light_field: LightField) -> Content:
         baseline_m=optics.baseline_m, focus_distance_m=optics.focus_distance_m,
         rotation=pose.rotation if pose else None, translation=pose.translation if pose else None,
     )  # fmt: skip
+
+
+def content_of_raw(name: str, path: Path) -> Content:
+    """A camera's own file, not decoded: for formats that take the sensor's values, and no others."""
+
+    def refuse() -> Image:
+        raise BadInput("is raw and has no views", path=path, code="no-views",
+                       remedy="decode it first (lfrig decode FILE --out DIR) and export what that makes")  # fmt: skip
+
+    return Content(name=name, load_views=refuse, raw=path)

@@ -46,14 +46,17 @@ FORMATS: dict[str, Format] = {
     "hci": Format(f"{_HERE}.hci", "export_hci", "", "HCI 4D light field benchmark folder"),
     "gif": Format(f"{_HERE}.gif", "export_gif", ".gif", "parallax loop, plays everywhere"),
     "webm": Format(f"{_HERE}.webm", "export_webm", ".webm", "parallax loop, VP9"),
+    "dng": Format(f"{_HERE}.dng", "export_dng", ".dng", "sensor values of a raw light field"),
 }
+FROM_RAW = frozenset({"dng"})
+"""Formats of the camera's own file: `Content.raw` is all they need."""
 NOT_YET = (
-    "eslf", "gantry", "h5", "dng", "quilt", "mp4", "webp", "html", "refocus", "epi", "ply", "colmap", "nerfstudio",
+    "eslf", "gantry", "h5", "quilt", "mp4", "webp", "html", "refocus", "epi", "ply", "colmap", "nerfstudio",
 )  # fmt: skip
 
 
 def export(
-    source: Path | LightField,
+    source: Path | LightField | Content,
     format: str,
     out: Path | None = None,
     *,
@@ -64,8 +67,8 @@ def export(
 
     Parameters
     ----------
-    source : Path or LightField
-        A folder that `write_result` wrote, or a capture of a session.
+    source : Path, LightField or Content
+        A folder that `write_result` wrote, a capture of a session, or what was made ready of one.
     format : str
         A key of `FORMATS`.
     out : Path, optional
@@ -81,7 +84,7 @@ def export(
     Raises
     ------
     UsageError
-        Unknown format, or ``out`` would replace the result itself; `NotInThisVersion` for a planned format.
+        Unknown format, or ``out`` would replace what is exported; `NotInThisVersion` for a planned format.
     BadInput
         The source cannot be read or lacks what the format needs; ``out`` exists.
     DiskError
@@ -133,7 +136,9 @@ def _format(name: str) -> Format:
     raise UsageError(f"--format {name}: unknown format", remedy=f"choose one of {known}")
 
 
-def _content(source: Path | LightField) -> Content:
+def _content(source: Path | LightField | Content) -> Content:
+    if isinstance(source, Content):
+        return source
     if isinstance(source, LightField):
         return content_of_light_field(source)
     return content_of_result(load_result(source))
@@ -145,7 +150,9 @@ def _default_path(content: Content, name: str, chosen: Format) -> Path:
 
 
 def _refuse_own_files(path: Path, content: Content) -> None:
-    """An export must never replace the result that it reads, even with ``overwrite``."""
+    """An export must never replace the result or the file that it reads, even with ``overwrite``."""
+    if content.raw is not None and path.resolve() == content.raw.resolve():
+        raise UsageError(f"{path}: would replace the file that is exported", remedy="give another --out")
     if content.folder is None:
         return
     own, target = content.folder.resolve(), path.resolve()

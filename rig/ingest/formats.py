@@ -10,7 +10,6 @@ from lfrig.rig.ingest import capture_json, eslf, hci, photo, raw, sai
 from lfrig.rig.ingest.candidate import Candidate, Request, in_words
 from lfrig.rig.session.store import SESSION_FILE
 
-RAW_PHOTO_SUFFIXES = frozenset({".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2"})
 _READABLE = (
     "a raw light field, a folder with capture.json, an HCI folder, a folder of views, an ESLF picture or a photo"
 )
@@ -33,15 +32,12 @@ def recognise(path: Path, request: Request) -> Candidate:
     BadInput
         It does not exist, is empty, or has a format that is not known; or a known one that is broken.
     NotInThisVersion
-        A raw photo, or a camera's sensor values without metadata.
+        A camera's sensor values without metadata.
     """
     if not path.exists():
         raise BadInput("does not exist", path=path, code="missing-file", remedy="check the path")
-    suffix = path.suffix.lower()
-    if path.is_file() and suffix == ".raw":
+    if path.is_file() and path.suffix.lower() == ".raw":
         raise NotInThisVersion(f"{path}: sensor values without their container", remedy="give the .lfr or .lfp file")
-    if path.is_file() and suffix in RAW_PHOTO_SUFFIXES:
-        raise NotInThisVersion(f"{path}: raw photos ({suffix})", remedy="develop it to a 16-bit PNG or TIFF first")
     if (path / SESSION_FILE).is_file():
         raise BadInput(
             "is a session itself", path=path, code="is-a-session",

@@ -1,6 +1,7 @@
-"""A photo: PNG, JPEG, TIFF, … of 8 or 16 bits; turned upright as its EXIF says, focal length from EXIF.
+"""A photo: PNG, JPEG, TIFF, … of 8 or 16 bits, or a camera's raw one; upright as its EXIF says, focal length from EXIF.
 
-A picture that is upright already is copied byte for byte; a turned one is stored as PNG, which loses nothing.
+A raw photo, and a picture that is upright already, is copied byte for byte; a turned one is stored as PNG, which loses
+nothing.
 """
 
 from __future__ import annotations
@@ -14,8 +15,9 @@ from lfrig.contracts.progress import Monitor, Notice
 from lfrig.processing.model import LightField
 from lfrig.rig.ingest.candidate import Candidate, Request, copy_files
 from lfrig.rig.session.convert import rectification_for
-from lfrig.rig.session.exif import camera_spec, exposure_spec, read_exif, read_photo, time_taken
-from lfrig.rig.session.images import IMAGE_SUFFIXES, image_size, write_png
+from lfrig.rig.session.exif import camera_spec, exposure_spec, photo_size, read_exif, read_photo, time_taken
+from lfrig.rig.session.images import IMAGE_SUFFIXES, write_png
+from lfrig.rig.session.raw_photo import RAW_PHOTO_SUFFIXES, refuse_light_field
 
 FORMAT = "photo"
 
@@ -51,16 +53,21 @@ class PhotoFile(Candidate):
 
 
 def recognise(path: Path, request: Request) -> Candidate | None:
-    """Any picture file; None for a folder, for another kind of file, and when a light field was asked for."""
+    """Any picture file; None for a folder, for another kind of file, and when a light field was asked for.
+
+    Raises
+    ------
+    BadInput
+        It is a raw light field that was called a photo, or whatever else is wrong with it.
+    """
     if not path.is_file() or request.kind == "light_field":
         return None
-    if path.suffix.lower() not in IMAGE_SUFFIXES and request.kind != "photo":
+    if path.suffix.lower() not in IMAGE_SUFFIXES | RAW_PHOTO_SUFFIXES and request.kind != "photo":
         return None
+    refuse_light_field(path)
     exif = read_exif(path)
-    width, height = image_size(path)
+    width, height = photo_size(path, exif)
     turned = exif.orientation != 1
-    if exif.orientation >= 5:
-        width, height = height, width
     document = CaptureDocument(
         kind="photo",
         image="photo.png" if turned else f"photo{path.suffix.lower()}",

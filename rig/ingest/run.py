@@ -71,7 +71,7 @@ def ingest(
     Interrupted
         Cancelled; the session has not changed.
     NotInThisVersion
-        A raw photo.
+        A camera's sensor values without their container.
     UsageError
         A calibration, and no raw light field.
     """
@@ -101,7 +101,7 @@ def open_light_field(path: Path | str, *, threads: int = 0, monitor: Monitor | N
     BadInput
         It is nothing that can be read, or broken.
     NotInThisVersion
-        A raw photo.
+        A camera's sensor values without their container.
     """
     return recognise(Path(path), Request()).light_field(monitor or Monitor(), threads)
 

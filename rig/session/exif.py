@@ -5,10 +5,11 @@ Tag numbers and meanings: CIPA DC-008 (Exif 2.32).
 
 from __future__ import annotations
 
+import io
 import math
 import re
 import struct
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,8 @@ import numpy as np
 
 from lfrig.contracts.capture import CameraSpec, ExposureSpec
 from lfrig.processing.model import Image
-from lfrig.rig.session.images import Pixels, open_pillow, quiet_pillow, read_bytes, read_image
+from lfrig.rig.session.images import Pixels, image_size, open_pillow, quiet_pillow, read_bytes, read_image
+from lfrig.rig.session.raw_photo import develop, is_raw_photo, read_header
 
 _ORIENTATION, _EXIF_IFD = 0x0112, 0x8769
 _EXPOSURE_TIME, _ISO, _TIME = 0x829A, 0x8827, 0x9003
@@ -54,17 +56,60 @@ class Exif:
 
 
 def read_exif(path: Path) -> Exif:
-    """EXIF of a picture file; empty when it has none or a damaged one. Raises `BadInput` for no picture at all."""
+    """EXIF of a picture file; empty when it has none or a damaged one. Raises `BadInput` for no picture at all.
+
+    The orientation of a raw photo is always 1: it is applied when it is developed.
+    """
+    if is_raw_photo(path):
+        return _raw_photo_exif(path)
     with open_pillow(read_bytes(path), path) as picture:
-        try:
-            with quiet_pillow():
-                exif = picture.getexif()
-                tags = {**exif, **exif.get_ifd(_EXIF_IFD)}
-        # A damaged block costs the metadata, not the picture; Pillow answers it with any of these.
-        except (OSError, ValueError, SyntaxError, TypeError, KeyError, IndexError, struct.error):
-            return Exif()
+        tags = _all_tags(picture.getexif)
     orientation = tags.get(_ORIENTATION, 1)
     return Exif(orientation if orientation in range(1, 9) else 1, tags)
+
+
+def _all_tags(load: Callable[[], Any]) -> dict[int, Any]:
+    """The tags of the first directory and of the Exif one; none where they are damaged."""
+    try:
+        with quiet_pillow():
+            exif = load()
+            return {**exif, **exif.get_ifd(_EXIF_IFD)}
+    # A damaged block costs the metadata, not the picture; Pillow answers it with any of these.
+    except (OSError, ValueError, SyntaxError, TypeError, KeyError, IndexError, struct.error):
+        return {}
+
+
+def _raw_photo_exif(path: Path) -> Exif:
+    """EXIF of a raw photo that is a TIFF file (most are); of others, exposure and focal length as LibRaw reads them."""
+    header = read_header(path)
+    known = {_EXPOSURE_TIME: header.exposure_s, _ISO: header.iso, _FOCAL_LENGTH: header.focal_length_mm}
+    data = read_bytes(path)
+    byte_order = data[:2]
+    if byte_order not in (b"II", b"MM"):
+        return Exif(tags=known)
+
+    def load() -> Any:
+        from PIL import Image as Pillow
+
+        exif = Pillow.Exif()
+        stream = io.BytesIO(data)
+        # Olympus and Panasonic write another number where TIFF has 42; what follows is TIFF.
+        stream.seek(2)
+        stream.write(b"*\0" if byte_order == b"II" else b"\0*")
+        stream.seek(0)
+        exif.load_from_fp(stream)
+        return exif
+
+    return Exif(tags={**known, **_all_tags(load)})
+
+
+def photo_size(path: Path, exif: Exif) -> tuple[int, int]:
+    """(width, height) [px] of a photo turned upright, from its header; raises `BadInput`."""
+    if is_raw_photo(path):
+        header = read_header(path)
+        return header.width, header.height
+    width, height = image_size(path)
+    return (height, width) if exif.orientation >= 5 else (width, height)
 
 
 def upright(image: Pixels, orientation: int) -> Pixels:
@@ -125,7 +170,9 @@ def time_taken(exif: Exif) -> str | None:
 
 
 def read_photo(path: Path) -> tuple[Image, Exif]:
-    """A picture turned upright, and its EXIF; raises `BadInput`."""
+    """A picture turned upright, and its EXIF; a raw photo is developed to 16 bits. Raises `BadInput`."""
     exif = read_exif(path)
+    if is_raw_photo(path):
+        return develop(path), exif
     image = read_image(path)
     return upright(image, exif.orientation), exif
