@@ -192,10 +192,9 @@ def _edit_file(rng: Random, files: dict[str, bytes]) -> None:
     if rng.random() < 0.2:
         del files[name]
     elif name.endswith((".TXT", ".json")) and rng.random() < 0.8:
-        with_json = files[name]
         try:
-            files[name] = _edited_json(rng, with_json)
-        except ValueError:
+            files[name] = _edited_json(rng, files[name])
+        except (ValueError, RecursionError):  # an edit before left no JSON, or too deep a one
             files[name] = b"{"
     else:
         files[name] = _edited_content(rng, files[name], is_json=False)

@@ -182,9 +182,15 @@ def test_a_folder_that_is_no_session(tmp_path: Path, lfrig) -> None:
     assert "not a session" in outcome.error_line
 
 
-def test_a_raw_capture_is_for_a_later_version(session: Path, refused: Refused, edit_json) -> None:
+def test_a_raw_capture_without_its_file(session: Path, refused: Refused, edit_json) -> None:
     edit_json(document(session, "001"), views=None, raw={"path": "capture.lfr"})
-    assert "not in this version" in refused(session, 2)
+    assert "capture.lfr: cannot be read" in refused(session, BAD_INPUT)
+
+
+def test_a_raw_capture_that_is_no_raw_file(session: Path, refused: Refused, edit_json) -> None:
+    edit_json(document(session, "001"), views=None, raw={"path": "capture.lfr"})
+    (session / "captures" / "001" / "capture.lfr").write_bytes(b"\xff\xd8\xff" + bytes(99))
+    assert "capture.lfr: is a JPEG picture" in refused(session, BAD_INPUT)
 
 
 def test_the_error_as_json(session: Path, lfrig) -> None:

@@ -228,18 +228,12 @@ def test_sources_that_cannot_be_recognised(tmp_path: Path) -> None:
     assert not (tmp_path / "s").exists()
 
 
-@pytest.mark.parametrize("name", ["IMG_1.LFR", "a.lfp", "a.dng", "a.CR2", "a.nef", "a.cr3"])
-def test_raw_formats_are_not_in_this_version(tmp_path: Path, name: str) -> None:
-    (tmp_path / name).write_bytes(b"raw")
+def test_sensor_values_alone_are_not_in_this_version(tmp_path: Path) -> None:
+    (tmp_path / "a.raw").write_bytes(b"raw")
     with pytest.raises(NotInThisVersion, match="not in this version") as caught:
-        ingest(tmp_path / "s", [tmp_path / name])
+        ingest(tmp_path / "s", [tmp_path / "a.raw"])
     assert caught.value.exit_code == 2
     assert not (tmp_path / "s").exists()
-
-
-def test_a_calibration_is_not_in_this_version(tmp_path: Path, sai: Path) -> None:
-    with pytest.raises(NotInThisVersion, match="--calibration"):
-        ingest(tmp_path / "s", [sai], calibration=tmp_path / "caldata.tar")
 
 
 def test_the_kind_that_was_asked_for(tmp_path: Path, sai: Path, photo: Path) -> None:
