@@ -23,10 +23,12 @@ from lfrig.bench.lytro_files import (
 from lfrig.contracts.errors import BadInput, DiskError, Interrupted, NotInThisVersion, UsageError
 from lfrig.contracts.lytro import CONTENT_MAGIC, F01, TOC_MAGIC
 from lfrig.contracts.progress import Monitor
+from lfrig.processing.lenslet.raw import read_raw
 from lfrig.rig.cli import main
 from lfrig.rig.info import describe, text_lines
 from lfrig.rig.ingest import ingest
 from lfrig.rig.session.store import SessionStore
+from lfrig.rig.sim_capture import capture_simulated
 from tests.rig.session_files import tree, write_view_folder
 
 SHOT = SmallShot(width=120, height=96, geometry=b"a")
@@ -150,6 +152,37 @@ def test_a_calibration_without_a_raw_light_field(tmp_path: Path, tar: Path) -> N
     with pytest.raises(UsageError, match="--calibration"):
         ingest(tmp_path / "s", [views], calibration=tar)
     assert not (tmp_path / "s").exists()
+
+
+def test_what_the_simulated_camera_writes_is_read_as_it_was_meant(tmp_path: Path) -> None:
+    shot_by_sim = capture_simulated(
+        tmp_path / "sim", scene="plaster", size=(24, 16), angles_deg=(0.0,), target_deg=None, record="raw"
+    )
+    meant = shot_by_sim.capture("000")
+    [tar] = (shot_by_sim.path / "calibration").iterdir()
+    source = shot_by_sim.capture_folder("000") / "capture.lfr"
+    monitor = Monitor()
+    ingest(tmp_path / "s", [source], calibration=tar, monitor=monitor)
+    found = SessionStore.open(tmp_path / "s").capture("000")
+    assert monitor.notices == []
+    assert found.camera is not None
+    assert meant.camera is not None
+    assert (found.camera.width, found.camera.height) == (24, 16)
+    assert found.camera.fx == pytest.approx(meant.camera.fx)
+    assert found.optics is not None
+    assert meant.optics is not None
+    assert found.optics.baseline_m == pytest.approx(meant.optics.baseline_m)
+    assert found.optics.focus_distance_m == pytest.approx(meant.optics.focus_distance_m)
+    assert found.exposure is not None
+    assert meant.exposure is not None
+    assert (found.exposure.time_s, found.exposure.iso) == (meant.exposure.time_s, meant.exposure.iso)
+    raw = read_raw(source, calibration=tar)
+    assert (raw.rule, raw.zoom_steps, raw.focus_steps) == ("exact", 0, 0)
+    assert raw.white is not None
+    assert raw.white.sensor.shape == raw.sensor.shape
+    assert len(raw.hot_pixels) >= 3
+    rows, cols = raw.hot_pixels[:, 1], raw.hot_pixels[:, 0]
+    assert (raw.sensor[rows, cols] > raw.sensor.mean()).all()
 
 
 # -- bad input ---------------------------------------------------------------------------------------------------------
