@@ -1,5 +1,9 @@
-"""Raw light fields: from the bytes of a plenoptic camera to views.
+"""Raw light fields: from the bytes of a plenoptic camera to views, in the order of the files.
 
-``container`` sections of a file · ``metadata`` what it says of the shot · ``unpack`` sensor values · ``calibration``
-white images and hot pixels · ``raw`` all of it as one `RawCapture`. Importing this package costs nothing.
+Reading: ``container`` sections of a file · ``contents`` which of them is what · ``layouts`` ``metadata`` what it says of
+the shot · ``priors`` camera and optics from that · ``unpack`` sensor values · ``archive`` ``calibration`` white images
+and hot pixels · ``raw`` all of it as one `RawCapture`.
+Decoding: ``lattice`` where the lenses are · ``develop`` ``colour`` light and colour · ``reading`` ``resample`` from
+lenses to view pixels · ``decode`` the views.
+Importing this package costs nothing.
 """

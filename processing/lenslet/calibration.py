@@ -183,7 +183,7 @@ def white_image(payload: memoryview, metadata: RawMetadata, path: Path, field: s
     """Unpack a white image and refuse a dark one; raises as `Calibration.load`."""
     sensor = unpack(payload, metadata, path, field)
     black, white = np.mean(metadata.black), np.mean(metadata.white)
-    level = (float(sensor[::4, ::4].mean()) - black) / (white - black)
+    level = (float(sensor[::3, ::3].mean()) - black) / (white - black)
     if level < MIN_WHITE_LEVEL:
         raise BadInput(
             f"is dark ({100 * level:.1f} % of the sensor's range)", path=path, field=field, code="dark-white-image",
