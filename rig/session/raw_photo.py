@@ -9,8 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import re
-import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,7 +20,7 @@ from numpy.typing import NDArray
 from lfrig.contracts.errors import BadInput, ProcessingError
 from lfrig.contracts.lytro import FILE_MAGIC
 from lfrig.rig.session.images import MAX_FILE_BYTES, check_size
-from lfrig.rig.session.tiff_blocks import lacks_pixels
+from lfrig.rig.session.tiff_blocks import fault_of_blocks
 
 if TYPE_CHECKING:
     from rawpy import RawPy
@@ -38,8 +36,6 @@ SRGB_CURVE = (2.4, 12.92)
 _TRANSPOSED = 4
 """Bit of LibRaw's ``flip`` that exchanges rows and columns."""
 _COPY_AGAIN = "copy the file from the camera again"
-_CORRUPTED = re.compile(rb"data corrupted at")
-_MAX_PRINTED = 1 << 16
 
 
 @dataclass(frozen=True)
@@ -81,8 +77,6 @@ def develop(path: Path) -> NDArray[np.uint16]:
         The package rawpy is missing.
     """
     with _opened(path) as raw:
-        if _all_black(raw):
-            raise _damaged(path)
         developed: NDArray[Any] = raw.postprocess(
             use_camera_wb=True,
             gamma=SRGB_CURVE,
@@ -128,9 +122,8 @@ def _opened(path: Path) -> Iterator[RawPy]:
             f"{path}: raw photos need the package rawpy ({error})", code="missing-package",
             remedy="pip install rawpy, or develop the photo to a 16-bit PNG or TIFF first",
         ) from None  # fmt: skip
-    printed: list[bytes] = []
     try:
-        with _captured_stderr(printed), rawpy.imread(str(path)) as raw:
+        with _quiet_stderr(), rawpy.imread(str(path)) as raw:
             check_size(*_upright_size(raw), path)
             check_size(raw.sizes.raw_width, raw.sizes.raw_height, path)
             yield raw
@@ -148,9 +141,6 @@ def _opened(path: Path) -> Iterator[RawPy]:
             "is no raw photo that can be read: none at all, torn, or of a camera that is not known", path=path,
             code="not-a-raw-photo", remedy="give the camera's own file, or develop it to a 16-bit PNG or TIFF first",
         ) from None  # fmt: skip
-    # Bad codes in compressed pixels are no error for LibRaw: it prints where they are and goes on.
-    if any(_CORRUPTED.search(text) for text in printed):
-        raise _damaged(path)
 
 
 def _check_file(path: Path) -> None:
@@ -162,8 +152,9 @@ def _check_file(path: Path) -> None:
         raise BadInput(
             "is larger than 1 GiB", path=path, code="too-large", remedy="develop it to a 16-bit PNG or TIFF first"
         )
-    if lacks_pixels(path):
-        raise _torn(path)
+    fault = fault_of_blocks(path)
+    if fault is not None:
+        raise _torn(path) if fault == "torn" else _damaged(path)
 
 
 def _torn(path: Path) -> BadInput:
@@ -172,13 +163,6 @@ def _torn(path: Path) -> BadInput:
 
 def _damaged(path: Path) -> BadInput:
     return BadInput("is damaged", path=path, code="damaged-image", remedy=_COPY_AGAIN)
-
-
-def _all_black(raw: RawPy) -> bool:
-    """Whether no pixel has a value at all: what LibRaw leaves of compressed pixels that it cannot read."""
-    import rawpy
-
-    return raw.raw_type == rawpy.RawType.Flat and not raw.raw_image.any()
 
 
 def _upright_size(raw: RawPy) -> tuple[int, int]:
@@ -193,23 +177,21 @@ def _upright_size(raw: RawPy) -> tuple[int, int]:
 
 
 @contextlib.contextmanager
-def _captured_stderr(printed: list[bytes]) -> Iterator[None]:
-    """Append to ``printed`` what the process writes to its stderr in the block, at the end of it.
+def _quiet_stderr() -> Iterator[None]:
+    """Close the process's stderr to LibRaw, which prints where data are bad before it says that they are.
 
-    LibRaw reports there, past Python, so nothing smaller than the descriptor holds it. A progress bar drawn meanwhile
-    is lost until it is drawn again.
+    It writes to the descriptor, past Python, so nothing smaller silences it. A progress bar drawn meanwhile is lost
+    until it is drawn again.
     """
     try:
         saved = os.dup(2)
-    except OSError:  # closed: nothing can be printed, nothing heard
+    except OSError:  # closed already
         yield
         return
-    with tempfile.TemporaryFile() as sink:
-        os.dup2(sink.fileno(), 2)
-        try:
-            yield
-        finally:
-            os.dup2(saved, 2)
-            os.close(saved)
-            sink.seek(0)
-            printed.append(sink.read(_MAX_PRINTED))
+    try:
+        with open(os.devnull, "wb") as sink:  # noqa: PTH123  (os.devnull is no path to join)
+            os.dup2(sink.fileno(), 2)
+        yield
+    finally:
+        os.dup2(saved, 2)
+        os.close(saved)

@@ -1,6 +1,7 @@
-"""Where a TIFF file keeps its pixels, so that one which lost its end is told from a whole one.
+"""Where a TIFF file keeps its pixels, so that one which lost some of them is told from a whole one.
 
-LibRaw leaves pixels black, without an error, when compressed ones would begin beyond the end of the file.
+LibRaw gives whatever its memory held, without an error, where compressed pixels should begin and do not: beyond the end
+of the file, or in a part of it that was lost.
 """
 
 from __future__ import annotations
@@ -9,9 +10,11 @@ import mmap
 import struct
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
 _STRIP_OFFSETS, _STRIP_BYTES, _TILE_OFFSETS, _TILE_BYTES = 273, 279, 324, 325
-_SUB_DIRECTORIES, _DNG_VERSION = 330, 50706
+_COMPRESSION, _SUB_DIRECTORIES, _DNG_VERSION = 259, 330, 50706
+_JPEG, _JPEG_START = (7,), b"\xff\xd8"
 _FORMATS = {3: "H", 4: "I", 13: "I"}
 _MAX_DIRECTORIES = 64
 _ENTRY_BYTES = 12
@@ -25,19 +28,22 @@ class _Directory:
     numbers: dict[int, tuple[int, ...]] = field(default_factory=dict)
 
 
-def lacks_pixels(path: Path) -> bool:
-    """Whether a TIFF file ends before pixels that it names.
+def fault_of_blocks(path: Path) -> Literal["torn", "damaged"] | None:
+    """What is wrong with the blocks of pixels that a TIFF file names, if anything.
 
-    Of a DNG all bytes count; of other raw formats, whose byte counts are not always to be trusted, the first of each
-    block. False for what is no TIFF file, or too broken to say.
+    ``"torn"``: the file ends before them. Of a DNG all bytes count; of other raw formats, whose byte counts are not
+    always to be trusted, the first of each block. ``"damaged"``: a JPEG block of a DNG does not begin like one. None
+    also for what is no TIFF file, or too broken to say.
     """
     with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
         order = {b"II*\0": "<", b"MM\0*": ">"}.get(data[:4])
         if order is None or len(data) < 8:
-            return False
+            return None
         directories = _directories(data, order)
         is_dng = bool(directories) and _DNG_VERSION in directories[0].numbers
-        return any(_ends_beyond(directory, len(data), whole=is_dng) for directory in directories)
+        if any(_ends_beyond(directory, len(data), whole=is_dng) for directory in directories):
+            return "torn"
+        return "damaged" if is_dng and not all(_begins_well(part, data) for part in directories) else None
 
 
 def _directories(data: mmap.mmap, order: str) -> list[_Directory]:
@@ -92,3 +98,10 @@ def _ends_beyond(directory: _Directory, size: int, *, whole: bool) -> bool:
         if whole and any(begin + length > size for begin, length in zip(begins, lengths, strict=False)):
             return True
     return False
+
+
+def _begins_well(directory: _Directory, data: mmap.mmap) -> bool:
+    if directory.numbers.get(_COMPRESSION) != _JPEG:
+        return True
+    begins = directory.numbers.get(_TILE_OFFSETS) or directory.numbers.get(_STRIP_OFFSETS, ())
+    return all(data[at : at + 2] == _JPEG_START for at in begins)
