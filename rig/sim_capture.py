@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 SIZES = {"tiny": (96, 64), "small": (135, 94), "medium": (270, 188), "full": (541, 376)}
 """Width and height of a light-field view [px]."""
-DEFAULT_RECORD: Record = "views"
+DEFAULT_RECORD: Record = "raw"
 CALIBRATION = "calibration"
 TRUTH_FILE = "truth.json"
 

@@ -44,7 +44,7 @@ def capture(
     size: Annotated[str, typer.Option(help="tiny | small | medium | full")] = "small",
     seed: Annotated[int, typer.Option(min=0, help="Of everything that is random.")] = 0,
     record: Annotated[
-        str | None, typer.Option(metavar="raw|views", help="Light fields as raw files or as views; default: views.")
+        str | None, typer.Option(metavar="raw|views", help="Light fields as raw files or as views; default: raw.")
     ] = None,
     noise: Annotated[
         float, typer.Option(metavar="σ", min=0, help="Noise of photo and views [grey levels]; raw has its own.")

@@ -19,8 +19,8 @@ I32 = NDArray[np.int32]
 FIGURES: dict[Model, CameraFigures] = {"ILLUM": ILLUM, "F01": F01}
 RESPONSES: dict[Model, tuple[float, float, float]] = {"ILLUM": (0.763, 1.0, 0.745), "F01": (0.88, 1.0, 0.795)}
 """What the sensor makes of white light, R, G, B relative to green."""
-TINY_PITCH_PX, SMALL_PITCH_PX = 7.15, 9.15
-TINY_WIDTH = 96
+SMALL_PITCH_PX = 9.15
+"""Of all sensors that are not a real camera's: the smallest whose lenses hold 7×7 views up to the corners."""
 ROTATION_DEG = (0.06, 0.14)
 STRETCH_SIGMA = 2e-4
 SCALE_SPREAD = 3e-4  # of the pitch, by zoom and focus: the exit pupil moves
@@ -96,7 +96,7 @@ def _figures(model: Model, width: int, height: int, view_pixel_m: float) -> Came
     pitch = real.lens_pitch_m / real.pixel_pitch_m
     size = real.width, real.height
     if (round(real.width / pitch), round(real.height / pitch)) != (width, height):
-        pitch = TINY_PITCH_PX if width <= TINY_WIDTH else SMALL_PITCH_PX
+        pitch = SMALL_PITCH_PX
         # Whole groups of the 10-bit packing and whole Bayer cells; never so far off that a view gains a pixel.
         size = 4 * round(width * pitch / 4), 2 * round(height * pitch / 2)
     return replace(

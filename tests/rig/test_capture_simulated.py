@@ -24,7 +24,7 @@ SCENE, SIZE, ANGLES, TARGET = "plaster", (48, 32), (0.0, 15.0), 8.0
 
 
 def capture(path: Path, **options: Any) -> SessionStore:
-    wanted = {"scene": SCENE, "size": SIZE, "angles_deg": ANGLES, "target_deg": TARGET} | options
+    wanted = {"scene": SCENE, "size": SIZE, "angles_deg": ANGLES, "target_deg": TARGET, "record": "views"} | options
     return capture_simulated(path, **wanted)
 
 

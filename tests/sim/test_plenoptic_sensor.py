@@ -40,7 +40,7 @@ def uniform(b: Body, level: float) -> F32:
 
 @pytest.mark.parametrize(
     ("size", "sensor"),
-    [((96, 64), (688, 458)), ((135, 94), (1236, 860)), ((270, 188), (2472, 1720)), ((541, 376), (7728, 5368))],
+    [((96, 64), (880, 586)), ((135, 94), (1236, 860)), ((270, 188), (2472, 1720)), ((541, 376), (7728, 5368))],
 )
 def test_sensor_sizes(size: tuple[int, int], sensor: tuple[int, int]) -> None:
     b = body("ILLUM", *size)
