@@ -5,6 +5,7 @@
 - ``decode``    what the decode of raw light fields costs and loses
 - ``stress``    what must hold, or be refused by name, on inputs that break things
 - ``peers``     other methods on the same inputs
+- ``sweep`` ``calibrate_confidence``   how settings are chosen, on the tuning half (``python -m``)
 - ``measure`` ``document`` ``plots`` ``cases``   what they share
 
 Every module of `BENCHES` has ``run(out, *, monitor, ...) -> BenchDocument``, which writes

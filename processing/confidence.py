@@ -12,11 +12,11 @@ import numpy as np
 from lfrig.processing.model import F32
 
 COEFFICIENTS = {
-    "bias": 2.42,
-    "peak": -0.01,
-    "one_source": 0.34,
-    "more_sources": 1.80,
-    "near_step": -1.55,
+    "bias": 2.89,
+    "peak": 0.04,
+    "one_source": 0.00,
+    "more_sources": 1.12,
+    "near_step": -1.73,
     "out_of_view": -2.0,
 }
 """``out_of_view`` is a cautious guess: no pixel of the tuning scenes lies outside every source's frame."""

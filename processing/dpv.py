@@ -31,7 +31,7 @@ class DpvSettings:
     p1_grey: float = 0.15
     p2_grey: float = 3.0
     edge_grey: float = 12.0
-    inverse_temperature: float = 8.0
+    inverse_temperature: float = 4.0
     """Softmax sharpness per grey level of aggregated cost, on clean views."""
     window: int = 3
     """Half width, in planes, of the regression around the peak."""

@@ -34,8 +34,9 @@ class FusionSettings:
     floor_share: float = 0.05
     margin_px: float = 0.06
     """Slack of the visibility test [px per view step of the source]."""
-    surface_gap: int = 6
-    surface_tau: float = 3.0
+    surface_gap_px: float = 0.08
+    """Planes this much nearer [px per view step of the sources] are another surface, not the flank of this one."""
+    surface_tau: float = 2.0
     surface_beta: float = 4.0
     surface_cap: float = 10.0
     min_overlap: float = 0.02
@@ -102,10 +103,16 @@ def fuse(
     elif settings.first_surface:
         neutral = -len(sources) * float(np.log(settings.planes))
         first_surface(
-            volume, neutral, settings.surface_gap, settings.surface_tau, settings.surface_beta, settings.surface_cap,
-            threads=threads,
+            volume, neutral, _gap_planes(sources, dw, settings), settings.surface_tau, settings.surface_beta,
+            settings.surface_cap, threads=threads,
         )  # fmt: skip
     return FusedVolume(volume, (w0, dw), log_pool, inside, volume.size * len(sources))
+
+
+def _gap_planes(sources: Sequence[Source], dw: float, settings: FusionSettings) -> int:
+    """``surface_gap_px`` in planes: the width of a peak is a matter of the sources' pixels, whatever the planes are."""
+    plane_px = dw / float(np.median([abs(source.scale.a) for source in sources]))
+    return int(np.clip(round(settings.surface_gap_px / plane_px), 1, settings.planes - 1))
 
 
 def inverse_depth_range(

@@ -43,6 +43,8 @@ class RefineSettings:
     snap_radius: int = 3
     snap_threshold_px: float = 0.0175
     snap_sigma_grey: float = 25.5
+    snap_median: int = 3
+    """Side of the median that takes single odd pixels out after the snap; 0 or 1 = none."""
 
 
 DEFAULT_REFINE = RefineSettings()
@@ -128,7 +130,8 @@ def fill_unseen(
 def snap_to_edges(inverse_depth: F32, photo: U8, px_per_inverse: float, settings: RefineSettings) -> F32:
     """Pixels that disagree with the weighted median of their neighbourhood take a neighbour's value near to it.
 
-    The median runs on 8-bit values, so it only decides; values always come from the map, without its steps.
+    The weighted median runs on 8-bit values, so it only decides; values always come from the map, without its steps.
+    Edges are left ragged by single pixels, which a small plain median takes back.
     """
     import cv2
 
@@ -157,4 +160,4 @@ def snap_to_edges(inverse_depth: F32, photo: U8, px_per_inverse: float, settings
             distance = np.where(closer, off, distance)
     out = inverse_depth.copy()
     out[bad] = best
-    return out
+    return out if settings.snap_median < 3 else np.asarray(cv2.medianBlur(out, settings.snap_median), np.float32)
