@@ -34,6 +34,7 @@ bench: $(STAMP)
 	$(BIN)/lfrig bench accuracy --out out/bench
 	$(BIN)/lfrig bench pareto --out out/bench
 	$(BIN)/lfrig bench stress --out out/bench
+	$(BIN)/lfrig bench decode --size full --out out/bench
 
 wheel: $(STAMP)
 	rm -rf dist

@@ -60,6 +60,7 @@ def examine() -> list[Finding]:
         lambda: _library("numpy", "numpy"),
         _opencv,
         lambda: _library("pycolmap", "pycolmap", remedy="without it only --poses given works"),
+        lambda: _library("rawpy", "rawpy", remedy="without it photos as DNG, CR2, NEF, … cannot be read"),
         _ffmpeg, _browser, _devices,
     ]  # fmt: skip
     return [probe() for probe in probes]
