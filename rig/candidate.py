@@ -20,8 +20,10 @@ Method = Literal["z_buffer", "fixed_point"]
 
 SAME_PICTURE_MSE = 100.0
 """A result's photo and the truth's picture of it differ by less than this mean square [grey levels²] beyond
-the noise: 10 grey levels, far above compression and rounding, far below what two captures of one scene differ
-by."""
+the noise, averaged over blocks: 10 grey levels, far above compression, rounding, noise and the aliasing of a
+decoded view, far below what two captures of one scene differ by."""
+
+SAME_PICTURE_BLOCK_PX = 4
 
 
 @dataclass(frozen=True)
@@ -199,7 +201,10 @@ def _check_same_picture(candidate: Candidate, truth: CaptureTruth) -> None:
     if candidate.views is None or truth.photo is None:
         return
     difference = _to8(_centre(candidate.views)).astype(np.float32) - truth.photo
-    mean_square = float(np.mean(np.square(difference), dtype=np.float64))
+    block = SAME_PICTURE_BLOCK_PX
+    height, width = (block * (size // block) for size in difference.shape[:2])
+    means = difference[:height, :width].reshape(height // block, block, width // block, block, 3).mean((1, 3))
+    mean_square = float(np.mean(np.square(means), dtype=np.float64))
     if mean_square > SAME_PICTURE_MSE + 4 * truth.noise_sigma**2:
         raise BadInput(
             f"the photo of the result is not the picture that the truth of {truth.id} shows",

@@ -54,7 +54,6 @@ def test_nonsense(lfrig, arguments: list[str]) -> None:
     ["process", "S", "--scheduler", "tcp://h:1"],
     ["evaluate", "S", "--preset", "fast,balanced"],
     ["export", "R", "--format", "ply"], ["export", "R", "--format", "mp4"],
-    ["ingest", "S", "X", "--calibration", "caldata.tar"],
     ["capture", "S", "--rig", "rig.toml"],
     ["capture", "S", "--rig", "sim", "--resume"],
     ["bench", "kernels"], ["bench", "ablation"],
