@@ -89,9 +89,11 @@ def nice_ticks(low: float, high: float, wanted: int) -> list[float]:
 
 
 def tick_labels(values: Sequence[float]) -> list[str]:
-    """The ticks of `nice_ticks`, all with as many decimals as their step needs."""
-    step = abs(values[1] - values[0]) if len(values) > 1 else abs(values[0])
-    decimals = max(0, -math.floor(math.log10(step) + 1e-9)) if step > 0 else 0
+    """The ticks of `nice_ticks`, all with as many decimals as their step needs, a lone one with those of its own."""
+    if len(values) > 1:
+        decimals = max(0, -math.floor(math.log10(abs(values[1] - values[0])) + 1e-9))
+    else:
+        decimals = next((n for n in range(12) if all(round(value, n) == value for value in values)), 12)
     return [fixed(value, decimals) for value in values]
 
 

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from PIL import Image as Pillow
 
@@ -82,6 +82,7 @@ class TestWords:
         assert [words.count(n, "source") for n in (1, 3, 12)] == ["one source", "three sources", "12 sources"]
         assert words.listing(["a", "b", "c"]) == "a, b and c"
 
+    @example(low=1.25, span=0.5, wanted=2)
     @given(low=st.floats(-1e4, 1e4), span=st.floats(1e-3, 1e4), wanted=st.integers(2, 9))
     def test_ticks_are_round_inside_and_about_as_many_as_wanted(self, low: float, span: float, wanted: int) -> None:
         ticks = words.nice_ticks(low, low + span, wanted)
