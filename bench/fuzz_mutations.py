@@ -117,7 +117,7 @@ def _positions(data: bytearray, magic: bytes) -> list[int]:
 
 
 def _length(rng: Random, length: int) -> int:
-    near = max(0, length + rng.choice((-96, -4, -1, 1, 4, 96)))
+    near = min(max(0, length + rng.choice((-96, -4, -1, 1, 4, 96))), (1 << 32) - 1)
     return rng.choice((near, rng.choice(NASTY_LENGTHS), rng.randrange(1 << 32)))
 
 
