@@ -19,6 +19,9 @@ _DENIED = {errno.EACCES, errno.EPERM, errno.EROFS}
 _CANNOT_SYNC = {errno.EINVAL, errno.ENOTSUP, errno.EBADF}
 """What network and user-space file systems answer that have no fsync of a folder."""
 _SERIAL = itertools.count()
+SESSION_FILE = "session.json"
+ORIGINALS = ("captures", "calibration")
+"""Folders of a session that nothing else holds a copy of."""
 
 
 @contextlib.contextmanager
@@ -117,6 +120,8 @@ def atomic_folder(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
     with disk_errors(path):
         _restore_abandoned(path)
     refuse_existing(path, overwrite=overwrite)
+    if path.is_file():
+        raise BadInput("is a file, where a folder is to be made", path=path, code="exists", remedy="give another --out")
     temporary = _beside(path, "tmp")
     made = [parent for parent in path.parents if not parent.exists()]
     try:
@@ -202,9 +207,43 @@ def _remove(path: Path) -> None:
 
 
 def refuse_existing(path: Path, *, overwrite: bool) -> None:
-    """Raise `BadInput` when ``path`` exists and may not be replaced."""
-    if os.path.lexists(path) and not overwrite:
+    """Raise `BadInput` when ``path`` exists and may not be replaced.
+
+    Originals may never be, even with ``overwrite``: a session, its captures and its calibrations.
+    """
+    if not path.name:
+        raise BadInput("has no name of its own", path=path, code="no-name", remedy="name a new folder in --out")
+    if not os.path.lexists(path):
+        return
+    if not overwrite:
         raise BadInput("exists already", path=path, code="exists", remedy="give --overwrite, or another --out")
+    if _holds_originals(path):
+        raise BadInput(
+            "holds captures, which --overwrite never replaces", path=path, code="holds-captures",
+            remedy="give another --out, or remove it by hand",
+        )  # fmt: skip
+
+
+def refuse_replacing(path: Path, *sources: Path) -> None:
+    """Raise `BadInput` when writing ``path`` would replace a file or folder that is read."""
+    target = path.resolve()
+    for source in sources:
+        if source.resolve().is_relative_to(target):
+            raise BadInput(
+                f"would replace {source}, which is read", path=path, code="own-input", remedy="give another --out"
+            )
+
+
+def _holds_originals(path: Path) -> bool:
+    """Whether a folder is a session, holds one, or is what a session keeps its originals in."""
+    if not path.is_dir():
+        return False
+    if (path / SESSION_FILE).exists():
+        return True
+    kept = [
+        parent / name for parent in path.absolute().parents if (parent / SESSION_FILE).exists() for name in ORIGINALS
+    ]
+    return any(path.absolute().is_relative_to(folder) for folder in kept)
 
 
 def sha256_file(path: Path) -> str:

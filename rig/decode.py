@@ -10,7 +10,7 @@ import numpy as np
 
 from lfrig.contracts.capture import CameraSpec, CaptureDocument, ExposureSpec, OpticsSpec, OriginSpec, ViewsSpec
 from lfrig.contracts.errors import BadInput
-from lfrig.contracts.files import atomic_folder, disk_errors, refuse_existing, sha256_file
+from lfrig.contracts.files import atomic_folder, disk_errors, refuse_existing, refuse_replacing, sha256_file
 from lfrig.contracts.progress import Monitor
 from lfrig.rig.session.capture_folder import CAPTURE_FILE
 from lfrig.rig.session.views import write_views
@@ -72,6 +72,7 @@ def decode_file(
     if not path.is_file():
         raise BadInput("is not a file", path=path, code="missing-file", remedy="give a .lfr or .lfp file")
     refuse_existing(out, overwrite=overwrite)
+    refuse_replacing(out, path, *([Path(calibration)] if calibration else []))
     raw = read_raw(path, calibration=calibration, partial=partial, monitor=monitor)
     found = decode(raw, views=views, threads=threads, monitor=monitor)
     document = capture_document(raw, found, path)

@@ -14,7 +14,13 @@ from typing import Any
 
 import numpy as np
 
-from lfrig.contracts.files import atomic_folder, atomic_write_bytes, atomic_write_text, refuse_existing
+from lfrig.contracts.files import (
+    atomic_folder,
+    atomic_write_bytes,
+    atomic_write_text,
+    refuse_existing,
+    refuse_replacing,
+)
 from lfrig.contracts.progress import Monitor
 from lfrig.processing.depth import DepthMap, estimate_disparity
 from lfrig.processing.model import F32, LightField
@@ -56,6 +62,7 @@ def depth_of_light_field(
 
     monitor = monitor or Monitor()
     refuse_existing(out, overwrite=overwrite)
+    refuse_replacing(out, source)
     light_field = open_light_field(source, threads=threads, monitor=monitor)
     with atomic_folder(out, overwrite=overwrite) as folder:
         depth = estimate_disparity(light_field, disparity_range, threads=threads, monitor=monitor)

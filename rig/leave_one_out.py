@@ -25,7 +25,7 @@ from lfrig.processing.model import LightField, LightFieldRequest
 from lfrig.processing.pipeline import ProcessOptions
 from lfrig.processing.scale_fit import fit_affine
 from lfrig.rig.candidate import Candidate, score_candidate
-from lfrig.rig.process import process_session
+from lfrig.rig.process import OnlyNotices, process_session
 from lfrig.rig.session.store import SessionStore
 from lfrig.rig.truth import CaptureTruth, load_capture_truth, truth_beside
 
@@ -100,7 +100,7 @@ def _evaluate_preset(
     refusals: list[GeometryRefused] = []
     with monitor.task(f"evaluate {options.preset}", total=len(targets)):
         for target in targets:
-            left_out = store.load_light_field(target)
+            left_out = store.load_light_field(target, threads=options.threads, monitor=OnlyNotices(monitor))
             own_size = replace(options, rows=left_out.angular[0], cols=left_out.angular[1])
             try:
                 process_session(store.path, target, None, own_size, folder / target, False, monitor)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from lfrig.contracts.capture import CaptureDocument
 from lfrig.contracts.errors import BadInput, UsageError
-from lfrig.contracts.files import atomic_folder, refuse_existing
+from lfrig.contracts.files import atomic_folder, refuse_existing, refuse_replacing
 from lfrig.contracts.progress import Monitor, Notice
 from lfrig.contracts.result import ReportDocument
 from lfrig.processing.model import LightField, Photo, RigPrior
@@ -68,6 +68,20 @@ class OwnNotices(Monitor):
     def on_warn(self, notice: Notice) -> None:
         """Pass the warning on."""
         self._outer.warn(notice.code, notice.message)
+
+
+class OnlyNotices(OwnNotices):
+    """Passes on warnings and hears of a cancel; the progress of a part is not that of the whole."""
+
+    @contextlib.contextmanager
+    def task(self, name: str, total: int | None = None) -> Iterator[None]:
+        """No task to be seen."""
+        self.advance(0)
+        yield
+
+    def advance(self, steps: int = 1) -> None:
+        """Raise `Interrupted` after a cancel."""
+        self._outer.advance(0)
 
 
 def process_session(
@@ -146,6 +160,7 @@ def check_session(
     selection = select(store.captures(), target, sources, path=store.path)
     folder = result_folder(store.path, selection.target, options.preset, out)
     refuse_existing(folder, overwrite=overwrite)
+    refuse_replacing(folder, store.path)
     return store, selection, folder
 
 
@@ -222,7 +237,7 @@ def load_inputs(store: SessionStore, selection: Selection, options: ProcessOptio
         monitor.advance()
         light_fields = []
         for name in selection.sources:
-            light_fields.append(store.load_light_field(name, threads=options.threads))
+            light_fields.append(store.load_light_field(name, threads=options.threads, monitor=OnlyNotices(monitor)))
             monitor.advance()
     return Inputs(light_fields, photo, prior, options)
 

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from lfrig.contracts.errors import BadInput
+from lfrig.contracts.files import SESSION_FILE
 from lfrig.contracts.result import ReportDocument
 from lfrig.contracts.schema import read_json
 from lfrig.rig.info.arrays import describe_npy, describe_pfm
@@ -24,7 +25,6 @@ from lfrig.rig.info.raw import CALIBRATION_SUFFIXES, describe_calibration, descr
 from lfrig.rig.info.sessions import describe_capture, describe_foreign, describe_session
 from lfrig.rig.info.text import Description, text_lines
 from lfrig.rig.session.capture_folder import CAPTURE_FILE
-from lfrig.rig.session.store import SESSION_FILE
 
 __all__ = ["Description", "describe", "text_lines"]
 

@@ -6,9 +6,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 from lfrig.contracts.errors import BadInput, NotInThisVersion
+from lfrig.contracts.files import SESSION_FILE
 from lfrig.rig.ingest import capture_json, eslf, hci, photo, raw, sai
 from lfrig.rig.ingest.candidate import Candidate, Request, in_words
-from lfrig.rig.session.store import SESSION_FILE
 
 _READABLE = (
     "a raw light field, a folder with capture.json, an HCI folder, a folder of views, an ESLF picture or a photo"

@@ -10,13 +10,14 @@ from pathlib import Path
 
 from lfrig.contracts.capture import CaptureDocument
 from lfrig.contracts.errors import BadInput
+from lfrig.contracts.files import SESSION_FILE
 from lfrig.contracts.progress import Monitor
 from lfrig.processing.model import LightField
 from lfrig.rig.ingest.calibration import SessionCalibration, kept_calibration, open_calibration, refuse_unused
 from lfrig.rig.ingest.candidate import Candidate, Kind, Request
 from lfrig.rig.ingest.formats import recognise
 from lfrig.rig.session.capture_folder import content_hash
-from lfrig.rig.session.store import CAPTURES, SESSION_FILE, SessionStore
+from lfrig.rig.session.store import CAPTURES, SessionStore
 
 Content = tuple[Kind, str]
 """What makes two captures the same: their kind and the hash of their pixels' files."""
@@ -134,7 +135,14 @@ def _build(candidate: Candidate, folder: Path, *, monitor: Monitor) -> CaptureDo
 def _fate(candidate: Candidate, capture_id: str, stored: Candidate | None, monitor: Monitor) -> IngestedCapture:
     skipped = stored is not candidate
     if skipped:
-        monitor.warn("duplicate-capture", f"{candidate.source}: is in the session already, as {capture_id}; skipped")
+        lost = (
+            "; its --calibration is not taken over"
+            if candidate.document.raw and candidate.document.raw.calibration
+            else ""
+        )
+        monitor.warn(
+            "duplicate-capture", f"{candidate.source}: is in the session already, as {capture_id}; skipped{lost}"
+        )
     else:
         for notice in candidate.notes():
             monitor.warn(notice.code, f"{candidate.source}: {notice.message}")

@@ -57,6 +57,8 @@ def decoded_views(
     assert document.raw is not None
     path = folder / document.raw.path
     calibration = find_calibration(folder, document.raw.calibration, session)
+    if document.raw.calibration is not None and calibration is None:
+        monitor.warn("calibration-missing", f"{path}: its calibration {document.raw.calibration!r} is not there")
     sha256 = sha256_file(path)
     if document.raw.sha256 not in (None, sha256):
         raise BadInput(

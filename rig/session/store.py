@@ -14,7 +14,7 @@ from pathlib import Path
 
 from lfrig.contracts.capture import CaptureDocument, ViewsSpec
 from lfrig.contracts.errors import BadInput
-from lfrig.contracts.files import atomic_folder, disk_errors
+from lfrig.contracts.files import SESSION_FILE, atomic_folder, disk_errors
 from lfrig.contracts.progress import Monitor
 from lfrig.contracts.session import RigSpec, SessionDocument
 from lfrig.processing.model import U8, Image, LightField, Photo, RigPrior
@@ -24,7 +24,6 @@ from lfrig.rig.session.convert import to_rig_prior
 from lfrig.rig.session.images import write_png
 from lfrig.rig.session.views import write_views
 
-SESSION_FILE = "session.json"
 CAPTURES = "captures"
 
 Build = Callable[[Path], CaptureDocument]

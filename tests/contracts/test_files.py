@@ -20,6 +20,7 @@ from lfrig.contracts.files import (
     atomic_write_text,
     disk_errors,
     refuse_existing,
+    refuse_replacing,
     sha256_file,
     sha256_files,
 )
@@ -161,14 +162,12 @@ def test_a_folder_that_appears_meanwhile_is_not_replaced(tmp_path: Path) -> None
     assert names(tmp_path) == ["result"]
 
 
-@pytest.mark.parametrize("kind", ["folder", "file", "link", "dangling link"])
+@pytest.mark.parametrize("kind", ["folder", "link", "dangling link"])
 def test_overwriting_replaces_whatever_is_there(tmp_path: Path, kind: str) -> None:
     path, other = tmp_path / "result", tmp_path / "other"
     if kind == "folder":
         path.mkdir()
         fill(path, "old")
-    elif kind == "file":
-        path.write_text("old")
     else:
         if kind == "link":
             other.mkdir()
@@ -311,3 +310,44 @@ def test_hashes(tmp_path: Path) -> None:
     assert sha256_files([tmp_path / "a", tmp_path / "b"]) != sha256_files([tmp_path / "b", tmp_path / "a"])
     with pytest.raises(BadInput, match="none"):
         sha256_file(tmp_path / "none")
+
+
+@pytest.mark.parametrize("place", ["", "captures", "captures/000", "calibration", "captures/000/views"])
+def test_a_session_s_originals_are_never_replaced(tmp_path: Path, place: str) -> None:
+    session = tmp_path / "session"
+    (session / "captures" / "000" / "views").mkdir(parents=True)
+    (session / "calibration").mkdir()
+    (session / "session.json").write_text("{}")
+    with pytest.raises(BadInput, match="never replaces"), atomic_folder(session / place, overwrite=True):
+        pytest.fail("the block must not run")
+    assert (session / "captures" / "000" / "views").is_dir()
+
+
+def test_results_and_caches_of_a_session_are_replaced(tmp_path: Path) -> None:
+    (tmp_path / "session.json").write_text("{}")
+    for place in ("results/run", "cache/decode/0"):
+        (tmp_path / place).mkdir(parents=True)
+        with atomic_folder(tmp_path / place, overwrite=True) as folder:
+            fill(folder, "new")
+        assert read(tmp_path / place) == "new"
+
+
+def test_a_folder_never_replaces_a_file(tmp_path: Path) -> None:
+    (tmp_path / "shot.lfr").write_text("raw")
+    with pytest.raises(BadInput, match="is a file"), atomic_folder(tmp_path / "shot.lfr", overwrite=True):
+        pytest.fail("the block must not run")
+    assert (tmp_path / "shot.lfr").read_text() == "raw"
+
+
+def test_a_path_without_a_name_is_refused(monkeypatch: Patch, tmp_path: Path) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(BadInput, match="no name"), atomic_folder(Path(), overwrite=True):
+        pytest.fail("the block must not run")
+
+
+def test_what_is_read_is_not_replaced(tmp_path: Path) -> None:
+    source = tmp_path / "shots" / "a.lfr"
+    for out in (source, tmp_path / "shots", tmp_path):
+        with pytest.raises(BadInput, match="would replace"):
+            refuse_replacing(out, source)
+    refuse_replacing(tmp_path / "shots" / "b", source)

@@ -141,7 +141,7 @@ def test_warnings_are_told_again_with_the_cached_views(session: SessionStore) ->
         monitor = Monitor()
         session.load_light_field("001", monitor=monitor)
         told.append([notice.code for notice in monitor.notices])
-    assert told[0] == told[1] == ["no-white-image", "lattice-from-shot"]
+    assert told[0] == told[1] == ["calibration-missing", "no-white-image", "lattice-from-shot"]
 
 
 def test_a_session_that_cannot_be_written_to_is_read(session: SessionStore, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -206,6 +206,35 @@ def test_a_session_of_raw_captures_is_processed(session: SessionStore) -> None:
     folder = process_session(session.path, options=ProcessOptions(poses="given"))
     report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
     assert len(report["sources"]) == 2 and (folder / "views" / "06_06.png").is_file()
+
+
+def test_a_missing_calibration_is_in_the_report(session: SessionStore) -> None:
+    from lfrig.processing.pipeline import ProcessOptions
+    from lfrig.rig.process import process_session
+
+    shutil.rmtree(session.path / "calibration")
+    monitor = Monitor()
+    folder = process_session(session.path, options=ProcessOptions(poses="given"), monitor=monitor)
+    told = {warning["code"] for warning in json.loads((folder / "report.json").read_text())["warnings"]}
+    assert told >= {"calibration-missing", "no-white-image", "lattice-from-shot"}
+    assert told <= {notice.code for notice in monitor.notices}
+
+
+def test_a_raw_capture_folder_is_opened_with_its_session_s_calibration(session: SessionStore, tmp_path: Path) -> None:
+    from lfrig.rig.ingest import ingest, open_light_field
+
+    monitor = Monitor()
+    field = open_light_field(session.capture_folder("000"), monitor=monitor)
+    assert np.array_equal(field.views, session.load_light_field("000").views)
+    assert not monitor.notices
+    [taken] = ingest(tmp_path / "other", [session.capture_folder("000")], monitor=monitor)
+    assert [notice.code for notice in monitor.notices] == ["calibration-not-copied"]
+    other = SessionStore.open(tmp_path / "other")
+    assert (other.capture_folder(taken.id) / "capture.lfr").is_file()
+    [tar] = (session.path / "calibration").iterdir()
+    [whole] = ingest(tmp_path / "third", [session.capture_folder("000")], calibration=tar, monitor=monitor)
+    third = SessionStore.open(tmp_path / "third")
+    assert np.array_equal(third.load_light_field(whole.id).views, field.views)
 
 
 def test_decoding_a_file_makes_a_capture(session: SessionStore, tmp_path: Path) -> None:
