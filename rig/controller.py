@@ -155,10 +155,15 @@ def _take(
     journal.record("frame_seen", shot=shot.index, frame_id=frame_id)
     frame = shot.camera.fetch(frame_id, timeout_s=timeout_s)
     capture_id = _store(frame, shot, store)
-    files = sorted(path for path in store.capture_folder(capture_id).rglob("*") if path.is_file())
-    journal.record("ingested", shot=shot.index, capture=capture_id, sha256=sha256_files(files))
-    if on_ingested is not None:
-        on_ingested(capture_id, frame)
+    try:
+        files = sorted(path for path in store.capture_folder(capture_id).rglob("*") if path.is_file())
+        if on_ingested is not None:
+            on_ingested(capture_id, frame)
+        journal.record("ingested", shot=shot.index, capture=capture_id, sha256=sha256_files(files))
+    except BaseException:
+        # A capture that is known only by half, without its journal line or its truth, would be in the way for ever.
+        store.discard(capture_id)
+        raise
     return capture_id
 
 

@@ -13,6 +13,7 @@ from lfrig.contracts.errors import BadInput
 from lfrig.contracts.files import atomic_folder, disk_errors, refuse_existing, refuse_replacing, sha256_file
 from lfrig.contracts.progress import Monitor
 from lfrig.rig.session.capture_folder import CAPTURE_FILE
+from lfrig.rig.session.decoded import find_calibration
 from lfrig.rig.session.views import write_views
 
 if TYPE_CHECKING:
@@ -50,7 +51,8 @@ def decode_file(
     Parameters
     ----------
     calibration : Path, optional
-        The camera's calibration: a tar, a folder, or one white image's .RAW.
+        The camera's calibration: a tar, a folder, or one white image's .RAW; of a session's capture by default the one
+        that its capture.json names.
     views : {7, 14, 15}
         How many views per side; see `lfrig.processing.lenslet.decode.decode`.
     partial : bool
@@ -71,6 +73,7 @@ def decode_file(
     monitor, path, out = monitor or Monitor(), Path(path), Path(out)
     if not path.is_file():
         raise BadInput("is not a file", path=path, code="missing-file", remedy="give a .lfr or .lfp file")
+    calibration = calibration or _recorded_calibration(path)
     refuse_existing(out, overwrite=overwrite)
     refuse_replacing(out, path, *([Path(calibration)] if calibration else []))
     raw = read_raw(path, calibration=calibration, partial=partial, monitor=monitor)
@@ -83,6 +86,16 @@ def decode_file(
             np.save(staging / WEIGHT_FILE, found.weight)
         document.save(staging / CAPTURE_FILE)
     return DecodeOutcome(out, facts(raw, found))
+
+
+def _recorded_calibration(path: Path) -> Path | None:
+    """What the capture.json beside a raw file names, in its session or beside it."""
+    if not (path.parent / CAPTURE_FILE).is_file():
+        return None
+    raw = CaptureDocument.load(path.parent / CAPTURE_FILE).raw
+    if raw is None or raw.path != path.name:
+        return None
+    return find_calibration(path.parent, raw.calibration, path.resolve().parents[2])
 
 
 def capture_document(raw: RawCapture, found: Decoded, path: Path) -> CaptureDocument:

@@ -197,6 +197,13 @@ class SessionStore:
                 raise
         return ids
 
+    def discard(self, capture_id: str) -> None:
+        """Take back a capture that was just added; one that is not listed is no error."""
+        with self._locked():
+            rest = [name for name in self.document.captures if name != capture_id]
+            self._save(self.document.model_copy(update={"captures": rest}))
+        shutil.rmtree(self.path / CAPTURES / capture_id, ignore_errors=True)
+
     def _free_ids(self, count: int) -> list[str]:
         """The next numbers that neither the session nor an abandoned folder uses."""
         folder = self.path / CAPTURES

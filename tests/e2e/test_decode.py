@@ -38,6 +38,25 @@ def test_decode_says_what_it_found(lfrig, raw_session: Path, tmp_path: Path) -> 
     assert "7×7 views of 48×32 px" in outcome.out and "white image: exact" in outcome.out
 
 
+def test_decode_finds_the_calibration_of_a_session_s_capture(lfrig, raw_session: Path, tmp_path: Path) -> None:
+    raw = raw_session / "captures" / "000" / "capture.lfr"
+    outcome = lfrig("decode", raw, "--out", tmp_path / "views", "--json")
+    assert outcome.code == 0 and outcome.err == ""
+    assert outcome.json["white_image"]["rule"] == "exact"
+    before = raw.read_bytes()
+    for command in ("decode", "depth"):
+        again = lfrig(command, raw, "--out", raw, "--overwrite")
+        assert again.code == 3
+        assert again.error_line
+    assert raw.read_bytes() == before
+
+
+def test_depth_of_a_raw_capture(lfrig, raw_session: Path, tmp_path: Path) -> None:
+    outcome = lfrig("depth", raw_session / "captures" / "000", "--out", tmp_path / "depth")
+    assert outcome.code == 0 and outcome.err == ""
+    assert (tmp_path / "depth" / "disparity.pfm").is_file()
+
+
 def test_more_views_than_the_lenses_have(lfrig, raw_session: Path, tmp_path: Path) -> None:
     [tar] = (raw_session / "calibration").iterdir()
     raw = raw_session / "captures" / "000" / "capture.lfr"

@@ -13,6 +13,7 @@ import pytest
 from lfrig.contracts.errors import BadInput, Interrupted, UsageError
 from lfrig.contracts.progress import Monitor
 from lfrig.contracts.truth import TruthDocument
+from lfrig.rig import sim_capture
 from lfrig.rig.journal import read_journal
 from lfrig.rig.session.images import read_image
 from lfrig.rig.session.store import SessionStore
@@ -177,3 +178,20 @@ def test_cancel_keeps_whole_captures_with_their_truth(tmp_path: Path) -> None:
     assert list(TruthDocument.load(store.truth_path / "truth.json").captures) == ["000"]
     assert read_journal(store.path / "journal.jsonl")[-1]["event"] == "aborted"
     assert [p.name for p in (store.path / "captures").iterdir()] == ["000"]
+
+
+def test_an_interrupt_between_a_capture_and_its_truth_leaves_neither(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(sim_capture, "_write_truth", interrupted)
+        with pytest.raises(Interrupted, match="0 of 3"):
+            capture(tmp_path / "s", size=(24, 16))
+    assert SessionStore.open(tmp_path / "s").captures() == {}
+    assert list((tmp_path / "s" / "captures").iterdir()) == []
+    store = capture(tmp_path / "s", size=(24, 16))
+    truth = TruthDocument.load(store.truth_path / "truth.json")
+    assert list(store.captures()) == list(truth.captures) == ["000", "001", "002"]
