@@ -55,9 +55,19 @@ def main(argv: Sequence[str] | None = None) -> int:
         code = error.code if isinstance(error.code, int) else 1
     except BaseException as error:
         code = run.fail(explain(error), error)
+        _handled()
     finally:
         run.close()
     return _flush(code)
+
+
+def _handled() -> None:
+    """Let Python exit with our code after a KeyboardInterrupt.
+
+    One that struck while a string was being executed, as dataclasses do at import, leaves CPython 3.11 convinced that
+    nobody handled it: ``python -m`` then ends by SIGINT instead of our exit code. Executing any string takes that back.
+    """
+    exec("pass")
 
 
 def _flush(code: int) -> int:

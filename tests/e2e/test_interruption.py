@@ -167,3 +167,19 @@ def test_ctrl_c_leaves_nothing_of_longer_work(session: Path, tmp_path: Path, arg
     assert process.returncode == 130, err
     assert err.splitlines()[-1].startswith("lfrig: error: interrupted")
     assert everything_in(tmp_path) - {"session/results"} == before  # an empty folder is no result
+
+
+def test_an_interrupt_inside_an_executed_string_has_our_exit_code(tmp_path: Path) -> None:
+    """As when it strikes while a dataclass is being made at import."""
+    (tmp_path / "struck.py").write_text(
+        "import sys\n"
+        "from lfrig.rig.cli import app, main\n"
+        "app.app = lambda **_: exec('raise KeyboardInterrupt')\n"
+        "sys.exit(main(['doctor']))\n"
+    )
+    outcome = subprocess.run(
+        [sys.executable, "-m", "struck"], capture_output=True, text=True,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])},
+    )  # fmt: skip
+    assert outcome.returncode == 130, outcome.stderr
+    assert outcome.stderr.splitlines()[-1].startswith("lfrig: error: interrupted")

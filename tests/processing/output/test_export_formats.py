@@ -73,10 +73,12 @@ class TestEveryFormat:
         monitor = Impatient()
         out = tmp_path / "keep" / f"out{FORMATS[name].suffix}"
         out.parent.mkdir()
-        out.write_text("mine")
+        kept = out if FORMATS[name].suffix else out / "kept"
+        kept.parent.mkdir(exist_ok=True)
+        kept.write_text("mine")
         with pytest.raises(Interrupted):
             export(result_folder, name, out, overwrite=True, monitor=monitor)
-        assert [p.name for p in out.parent.iterdir()] == [out.name] and out.read_text() == "mine"
+        assert [p.name for p in out.parent.iterdir()] == [out.name] and kept.read_text() == "mine"
 
     def test_overwrite_replaces(self, result_folder: Path, tmp_path: Path) -> None:
         out = tmp_path / "views"
