@@ -20,7 +20,8 @@ _CANNOT_SYNC = {errno.EINVAL, errno.ENOTSUP, errno.EBADF}
 """What network and user-space file systems answer that have no fsync of a folder."""
 _SERIAL = itertools.count()
 SESSION_FILE = "session.json"
-ORIGINALS = ("captures", "calibration")
+CAPTURES, CALIBRATION = "captures", "calibration"
+ORIGINALS = (CAPTURES, CALIBRATION)
 """Folders of a session that nothing else holds a copy of."""
 
 

@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lfrig.contracts.capture import CameraSpec, CaptureDocument, ExposureSpec, OpticsSpec, OriginSpec, ViewsSpec
+from lfrig.contracts.capture import CaptureDocument, OriginSpec, ViewsSpec
 from lfrig.contracts.errors import BadInput
 from lfrig.contracts.files import atomic_folder, disk_errors, refuse_existing, refuse_replacing, sha256_file
 from lfrig.contracts.progress import Monitor
-from lfrig.rig.session.capture_folder import CAPTURE_FILE
+from lfrig.rig.session.capture_folder import CAPTURE_FILE, session_of
+from lfrig.rig.session.convert import raw_document
 from lfrig.rig.session.decoded import find_calibration
 from lfrig.rig.session.views import write_views
 
@@ -95,33 +96,14 @@ def _recorded_calibration(path: Path) -> Path | None:
     raw = CaptureDocument.load(path.parent / CAPTURE_FILE).raw
     if raw is None or raw.path != path.name:
         return None
-    return find_calibration(path.parent, raw.calibration, path.resolve().parents[2])
+    return find_calibration(path.parent, raw.calibration, session_of(path.parent))
 
 
 def capture_document(raw: RawCapture, found: Decoded, path: Path) -> CaptureDocument:
     """The capture.json of decoded views; what the file does not say stays unknown."""
-    metadata, camera, optics = raw.metadata, found.camera, found.optics
     rows, cols, height, width = found.views.shape[:4]
-    if camera is None:
-        known = CameraSpec(width=width, height=height)
-    else:
-        f = camera.focal_px
-        known = CameraSpec(
-            width=width, height=height, fx=f, fy=f, cx=camera.cx, cy=camera.cy, sigma_f=camera.sigma_focal
-        )
-    gains = metadata.white_balance
-    return CaptureDocument(
-        kind="light_field",
-        time=metadata.time,
-        views=ViewsSpec(rows=rows, cols=cols),
-        camera=known,
-        optics=OpticsSpec(
-            baseline_m=optics.baseline_m, focus_distance_m=optics.focus_distance_m, sigma_baseline=optics.sigma_baseline
-        ),
-        exposure=ExposureSpec(
-            time_s=metadata.exposure_s, iso=metadata.iso,
-            white_balance=None if gains is None else (gains[0], (gains[1] + gains[2]) / 2, gains[3]),
-        ),
+    return raw_document(
+        raw.metadata, found.camera, found.optics, (width, height), views=ViewsSpec(rows=rows, cols=cols),
         origin=OriginSpec(name=path.name, format=FORMAT, sha256=sha256_file(path)),
     )  # fmt: skip
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from lfrig.contracts.capture import ViewsSpec
 from lfrig.contracts.errors import BadInput, UsageError
-from lfrig.contracts.files import atomic_folder, atomic_writer
+from lfrig.contracts.files import CALIBRATION, atomic_folder, atomic_writer
 from lfrig.contracts.progress import Monitor
 from lfrig.contracts.truth import TruthDocument
 from lfrig.rig.controller import Devices, run_plan
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 SIZES = {"tiny": (96, 64), "small": (135, 94), "medium": (270, 188), "full": (541, 376)}
 """Width and height of a light-field view [px]."""
 DEFAULT_RECORD: Record = "raw"
-CALIBRATION = "calibration"
 TRUTH_FILE = "truth.json"
 
 

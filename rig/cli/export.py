@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from lfrig.contracts.errors import UsageError
+from lfrig.contracts.files import SESSION_FILE
 from lfrig.rig.cli.make import Overwrite
 from lfrig.rig.cli.run import Run
 
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
     from lfrig.processing.model import LightField
     from lfrig.rig.session.store import SessionStore
 
-SESSION_FILE, CAPTURE_FILE = "session.json", "capture.json"
+CAPTURE_FILE = "capture.json"
 
 
 def register(app: typer.Typer) -> None:
@@ -66,12 +67,11 @@ def _found(source: Path, capture: str | None, *, raw: bool, monitor: Monitor) ->
 
 def _session_of(source: Path) -> Path | None:
     """The session that ``source`` is, or whose captures it is one of."""
+    from lfrig.rig.session.capture_folder import session_of
+
     if (source / SESSION_FILE).is_file():
         return source
-    home = source.resolve().parent
-    if home.name == "captures" and (source / CAPTURE_FILE).is_file() and (home.parent / SESSION_FILE).is_file():
-        return home.parent
-    return None
+    return session_of(source) if (source / CAPTURE_FILE).is_file() else None
 
 
 def _of_session(session: Path, capture: str | None, *, raw: bool, monitor: Monitor) -> LightField | Content:

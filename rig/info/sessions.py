@@ -7,12 +7,12 @@ from pathlib import Path
 
 from lfrig.contracts.capture import CaptureDocument
 from lfrig.contracts.errors import BadInput, LfrigError, NotInThisVersion
-from lfrig.contracts.files import SESSION_FILE
+from lfrig.contracts.files import CAPTURES, SESSION_FILE
 from lfrig.contracts.session import RigSpec
 from lfrig.rig.info.text import Description, count, inline
 from lfrig.rig.session.capture_folder import CAPTURE_FILE, content_files
 from lfrig.rig.session.decoded import find_calibration
-from lfrig.rig.session.store import CAPTURES, SessionStore
+from lfrig.rig.session.store import SessionStore
 
 
 def describe_session(path: Path) -> Description:

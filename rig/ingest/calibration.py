@@ -16,11 +16,10 @@ from pathlib import Path
 from typing import BinaryIO
 
 from lfrig.contracts.errors import UsageError
-from lfrig.contracts.files import atomic_writer, sha256_file
+from lfrig.contracts.files import CALIBRATION, atomic_writer, sha256_file
 from lfrig.contracts.progress import Monitor
 from lfrig.processing.lenslet.archive import Archive, open_archive
 from lfrig.processing.lenslet.calibration import Calibration
-from lfrig.rig.session.decoded import CALIBRATION
 
 _KEPT_SUFFIXES = (".RAW", ".TXT", ".GCT", ".JSON", ".BIN")
 _NAME_DIGITS = 16

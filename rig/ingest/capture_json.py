@@ -7,13 +7,12 @@ from pathlib import Path
 
 from lfrig.contracts.capture import CaptureDocument
 from lfrig.contracts.errors import BadInput
-from lfrig.contracts.files import SESSION_FILE
 from lfrig.contracts.progress import Monitor, Notice
 from lfrig.processing.model import LightField
 from lfrig.rig.ingest.candidate import Candidate, Request, copy_files, in_words
 from lfrig.rig.ingest.photo import PhotoFile
 from lfrig.rig.ingest.view_files import ViewFiles
-from lfrig.rig.session.capture_folder import CAPTURE_FILE, content_files, load_light_field, view_files
+from lfrig.rig.session.capture_folder import CAPTURE_FILE, content_files, load_light_field, session_of, view_files
 from lfrig.rig.session.views import refuse_missing
 
 FORMAT = "capture.json"
@@ -26,7 +25,7 @@ class RawCaptureFolder(Candidate):
     def notes(self) -> list[Notice]:
         """Whether its calibration comes along."""
         raw = self.document.raw
-        if raw is None or raw.calibration is None or _session_of(self.source) is None:
+        if raw is None or raw.calibration is None or session_of(self.source) is None:
             return []
         return [Notice("calibration-not-copied", f"names the calibration {raw.calibration!r}: see that it is there")]
 
@@ -40,15 +39,9 @@ class RawCaptureFolder(Candidate):
     def light_field(self, monitor: Monitor, threads: int = 0) -> LightField:
         """Decode it, with the calibration of the session that it lies in."""
         return load_light_field(
-            self.source, self.source.name, self.document, session=_session_of(self.source), threads=threads,
+            self.source, self.source.name, self.document, session=session_of(self.source), threads=threads,
             monitor=monitor,
         )  # fmt: skip
-
-
-def _session_of(folder: Path) -> Path | None:
-    """The session that a capture's folder lies in."""
-    session = folder.resolve().parent.parent
-    return session if (session / SESSION_FILE).is_file() else None
 
 
 def _calibrated(document: CaptureDocument, request: Request) -> CaptureDocument:

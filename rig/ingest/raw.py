@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from lfrig.contracts.capture import CameraSpec, CaptureDocument, ExposureSpec, OpticsSpec, RawSpec
+from lfrig.contracts.capture import CaptureDocument, RawSpec
 from lfrig.contracts.errors import BadInput
 from lfrig.contracts.files import sha256_file
 from lfrig.contracts.lytro import FILE_MAGIC
@@ -22,6 +22,7 @@ from lfrig.processing.lenslet.raw import check_payload, notice_of_rule
 from lfrig.processing.model import LightField
 from lfrig.rig.ingest.candidate import Candidate, Request, copy_files
 from lfrig.rig.session.capture_folder import load_light_field
+from lfrig.rig.session.convert import raw_document
 
 FORMAT = "lytro"
 SUFFIXES = frozenset({".lfr", ".lfp", ".lfx"})
@@ -77,27 +78,7 @@ def recognise(path: Path, request: Request) -> Candidate | None:
 def document_of(metadata: RawMetadata) -> CaptureDocument:
     """What the metadata say, as a capture's document without its file."""
     camera, optics = camera_and_optics(metadata)
-    width, height = view_size(metadata)
-    spec = CameraSpec(width=width, height=height)
-    if camera is not None:
-        spec = CameraSpec(
-            width=width, height=height, fx=camera.focal_px, fy=camera.focal_px, cx=camera.cx, cy=camera.cy,
-            sigma_f=camera.sigma_focal,
-        )  # fmt: skip
-    gains = metadata.white_balance
-    return CaptureDocument(
-        kind="light_field",
-        raw=RawSpec(path=STORED_NAME),
-        time=metadata.time,
-        camera=spec,
-        optics=OpticsSpec(
-            baseline_m=optics.baseline_m, focus_distance_m=optics.focus_distance_m, sigma_baseline=optics.sigma_baseline
-        ),
-        exposure=ExposureSpec(
-            time_s=metadata.exposure_s, iso=metadata.iso,
-            white_balance=None if gains is None else (gains[0], (gains[1] + gains[2]) / 2, gains[3]),
-        ),
-    )  # fmt: skip
+    return raw_document(metadata, camera, optics, view_size(metadata), raw=RawSpec(path=STORED_NAME))
 
 
 def _begins_like_one(path: Path) -> bool:

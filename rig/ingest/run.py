@@ -10,14 +10,14 @@ from pathlib import Path
 
 from lfrig.contracts.capture import CaptureDocument
 from lfrig.contracts.errors import BadInput
-from lfrig.contracts.files import SESSION_FILE
+from lfrig.contracts.files import CAPTURES, SESSION_FILE
 from lfrig.contracts.progress import Monitor
 from lfrig.processing.model import LightField
 from lfrig.rig.ingest.calibration import SessionCalibration, kept_calibration, open_calibration, refuse_unused
 from lfrig.rig.ingest.candidate import Candidate, Kind, Request
 from lfrig.rig.ingest.formats import recognise
 from lfrig.rig.session.capture_folder import content_hash
-from lfrig.rig.session.store import CAPTURES, SessionStore
+from lfrig.rig.session.store import SessionStore
 
 Content = tuple[Kind, str]
 """What makes two captures the same: their kind and the hash of their pixels' files."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from lfrig.contracts.capture import CameraSpec, CaptureDocument, ViewsSpec
 from lfrig.contracts.errors import BadInput
-from lfrig.contracts.files import sha256_files
+from lfrig.contracts.files import CAPTURES, SESSION_FILE, sha256_files
 from lfrig.contracts.progress import Monitor
 from lfrig.processing.model import Image, LightField, Photo
 from lfrig.rig.session.convert import rectification_for, to_camera, to_light_field, to_pose
@@ -19,6 +19,12 @@ from lfrig.rig.session.images import image_size, read_image8
 from lfrig.rig.session.views import read_views, refuse_missing, taken_range
 
 CAPTURE_FILE = "capture.json"
+
+
+def session_of(folder: Path) -> Path | None:
+    """The session among whose captures a capture's folder lies; None when it is in none."""
+    home = folder.resolve().parent
+    return home.parent if home.name == CAPTURES and (home.parent / SESSION_FILE).is_file() else None
 
 
 def load_light_field(

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lfrig.contracts.capture import CameraSpec, CaptureDocument, OpticsSpec, PoseSpec
+from lfrig.contracts.capture import CameraSpec, CaptureDocument, ExposureSpec, OpticsSpec, PoseSpec
 from lfrig.contracts.errors import BadInput
 from lfrig.contracts.session import RigSpec
 from lfrig.processing.model import U8, Camera, LightField, Optics, Pose, RigPrior
 from lfrig.rig.session.rectify import Rectification, principal_point, rectification
+
+if TYPE_CHECKING:
+    from lfrig.processing.lenslet.metadata import RawMetadata
 
 _ROUNDING = 1e-9
 """A rotation that is orthonormal to this is kept bit for bit; one with rounded digits is made exact."""
@@ -64,6 +68,33 @@ def to_light_field(
         turntable_deg=document.turntable_deg,
         depth_range_m=document.depth_range_m or depth_range_m,
     )
+
+
+def raw_document(
+    metadata: RawMetadata, camera: Camera | None, optics: Optics, size: tuple[int, int], **pixels: Any
+) -> CaptureDocument:
+    """The document of a raw light field with views of ``size`` (width, height); what is not known stays so.
+
+    ``pixels`` are the fields that say where they are (``raw`` or ``views``), and from what.
+    """
+    known: dict[str, Any] = {}
+    if camera is not None:
+        f = camera.focal_px
+        known = {"fx": f, "fy": f, "cx": camera.cx, "cy": camera.cy, "sigma_f": camera.sigma_focal}
+    gains = metadata.white_balance
+    return CaptureDocument(
+        kind="light_field",
+        time=metadata.time,
+        camera=CameraSpec(width=size[0], height=size[1], **known),
+        optics=OpticsSpec(
+            baseline_m=optics.baseline_m, focus_distance_m=optics.focus_distance_m, sigma_baseline=optics.sigma_baseline
+        ),
+        exposure=ExposureSpec(
+            time_s=metadata.exposure_s, iso=metadata.iso,
+            white_balance=None if gains is None else (gains[0], (gains[1] + gains[2]) / 2, gains[3]),
+        ),
+        **pixels,
+    )  # fmt: skip
 
 
 def rectification_for(document: CaptureDocument, width: int, height: int, path: Path) -> Rectification | None:

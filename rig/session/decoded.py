@@ -12,7 +12,7 @@ import numpy as np
 
 from lfrig.contracts.capture import CaptureDocument
 from lfrig.contracts.errors import BadInput, DiskError
-from lfrig.contracts.files import atomic_folder, atomic_write_text, sha256_file
+from lfrig.contracts.files import CALIBRATION, atomic_folder, atomic_write_text, sha256_file
 from lfrig.contracts.progress import Monitor
 from lfrig.processing.model import U8, Camera, Optics
 
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
 DECODER = 1
 """Raised whenever decoding the same file gives other bytes: what is cached then no longer serves."""
-CALIBRATION = "calibration"
 CACHE = "cache"
 VIEWS, FIGURES = "views.npy", "decoded.json"
 

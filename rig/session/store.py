@@ -14,7 +14,7 @@ from pathlib import Path
 
 from lfrig.contracts.capture import CaptureDocument, ViewsSpec
 from lfrig.contracts.errors import BadInput
-from lfrig.contracts.files import SESSION_FILE, atomic_folder, disk_errors
+from lfrig.contracts.files import CAPTURES, SESSION_FILE, atomic_folder, disk_errors
 from lfrig.contracts.progress import Monitor
 from lfrig.contracts.session import RigSpec, SessionDocument
 from lfrig.processing.model import U8, Image, LightField, Photo, RigPrior
@@ -23,8 +23,6 @@ from lfrig.rig.session.capture_folder import CAPTURE_FILE
 from lfrig.rig.session.convert import to_rig_prior
 from lfrig.rig.session.images import write_png
 from lfrig.rig.session.views import write_views
-
-CAPTURES = "captures"
 
 Build = Callable[[Path], CaptureDocument]
 """Fills a new capture's folder with pixels and returns its document; the store writes ``capture.json``."""
