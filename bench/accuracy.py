@@ -198,13 +198,14 @@ def _run_inputs(
 ) -> None:  # fmt: skip
     """The shipped preset on one scene with noise and from raw files; the pixels are the same for all poses."""
     shipped = next(stage for stage in state.stages if stage.key == SHIPPED)
+    clean = [
+        shoot_case(scene, size, poses=setup.poses, angles_deg=NEAR_DEG, threads=state.threads, cache_dir=cache_dir)
+        for setup in INPUT_SETUPS
+    ]
     for kind in kinds:
         sources = seen_sources(kind, scene, size, threads=state.threads, cache_dir=cache_dir)
-        for setup in INPUT_SETUPS:
-            clean = shoot_case(
-                scene, size, poses=setup.poses, angles_deg=NEAR_DEG, threads=state.threads, cache_dir=cache_dir
-            )
-            case = with_views_of(clean, sources)
+        for setup, own in zip(INPUT_SETUPS, clean, strict=True):
+            case = with_views_of(own, sources)
             row: dict[str, Any] = {"kind": "input scene", "scene": scene, "setup": setup.name, "input": kind}
             try:
                 result = process(

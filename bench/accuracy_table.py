@@ -86,24 +86,29 @@ def stage_rows(
         reference: float | None = None
         for stage in stages:
             mine = [r for r in scenes if r["setup"] == setup.name and r["stage"] == stage.key]
-            scored = [r for r in mine if "refused" not in r]
             row: dict[str, Any] = {
                 "kind": "mean", "setup": setup.name, "sources": setup.sources, "poses": setup.poses,
-                "stage": stage.key, "title": stage.title, "scenes": len(scored),
-                "refused": [r["scene"] for r in mine if "refused" in r],
+                "stage": stage.key, "title": stage.title, **means_and_worst(mine),
             }  # fmt: skip
             rows.append(row)
-            if not scored:
+            if not row["scenes"]:
                 continue
-            row |= mean_fields(scored)
-            worst = max(scored, key=lambda r: float(r["mse"]))
-            row |= {"worst": worst["scene"], "worst_mse": worst["mse"]}
-            peaks = [r["peak_rss_mb"] for r in scored if r.get("peak_rss_mb") is not None]
+            peaks = [r["peak_rss_mb"] for r in mine if r.get("peak_rss_mb") is not None]
             if peaks:
                 row["peak_rss_mb"] = max(peaks)
             reference = row["mse"] if reference is None else reference
             row["mse_ratio"] = row["mse"] / reference
     return rows
+
+
+def means_and_worst(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """How many scenes were scored and which were refused; of the scored ones the means, and the worst by MSE."""
+    scored = [row for row in rows if "refused" not in row]
+    found: dict[str, Any] = {"scenes": len(scored), "refused": [row["scene"] for row in rows if "refused" in row]}
+    if scored:
+        worst = max(scored, key=lambda row: float(row["mse"]))
+        found |= {**mean_fields(scored), "worst": worst["scene"], "worst_mse": worst["mse"]}
+    return found
 
 
 def mean_fields(rows: Sequence[dict[str, Any]]) -> dict[str, float]:
@@ -122,18 +127,22 @@ def acceptance(rows: Sequence[dict[str, Any]]) -> list[Check]:
     for row in rows:
         if row["stage"] != SHIPPED or "mse" not in row:
             continue
-        for name, bound, direction, why in BOUNDS:
-            checks.append(Check.of(f"{row['setup']}: {name}", row[name], direction, bound, why))
-        checks.append(
-            Check.of(
-                f"{row['setup']}: scenes refused", len(row["refused"]), "<=", 0,
-                "a mean over fewer scenes is not the same mean",
-            )
-        )  # fmt: skip
+        checks += bound_checks(row, row["setup"], BOUNDS)
     return checks
 
 
-BOUNDS: tuple[tuple[str, float, Literal["<=", ">="], str], ...] = (
+Bounds = tuple[tuple[str, float, Literal["<=", ">="], str], ...]
+"""(field, bound, direction, why) of what a row of means has to keep."""
+
+
+def bound_checks(row: dict[str, Any], title: str, bounds: Bounds) -> list[Check]:
+    """The bounds on a row of means, and that no scene is missing in them."""
+    checks = [Check.of(f"{title}: {name}", row[name], direction, bound, why) for name, bound, direction, why in bounds]
+    why = "a mean over fewer scenes is not the same mean"
+    return [*checks, Check.of(f"{title}: scenes refused", len(row["refused"]), "<=", 0, why)]
+
+
+BOUNDS: Bounds = (
     ("mse", 0.004, "<=", "twice what the prototype reached on four scenes; edges and unseen areas make it up"),
     ("ppe_005", 88.0, ">=", "a tenth of the smallest step that refocusing shows"),
     ("ppe_010", 94.0, ">=", "the pixels that a viewer would call right"),

@@ -11,7 +11,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Literal
 
-from lfrig.bench.accuracy_table import SCORES, SHIPPED, Setup, mean_fields
+from lfrig.bench.accuracy_table import SCORES, SHIPPED, Bounds, Setup, bound_checks, means_and_worst
 from lfrig.bench.cases import NEAR_DEG, Case, shoot_case
 from lfrig.bench.document import Column, Table
 from lfrig.contracts.bench import Check
@@ -32,7 +32,7 @@ TITLES = {
     "raw": "decoded from raw files with sensor noise",
 }
 SETUPS = (Setup(2, "given"), Setup(2, "prior"))
-BOUNDS: tuple[tuple[str, float, Literal["<=", ">="], str], ...] = (
+BOUNDS: Bounds = (
     ("mse", 0.008, "<=", "twice that of clean views: noise and decode may cost as much again"),
     ("ppe_005", 75.0, ">=", "provisional: noise and decode move the median"),
     ("ppe_010", 90.0, ">=", "provisional: four points below clean views"),
@@ -98,17 +98,12 @@ def input_rows(scenes: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
         before: float | None = None
         for kind in INPUTS:
             mine = [row for row in scenes if row["setup"] == setup.name and row["input"] == kind]
-            scored = [row for row in mine if "refused" not in row]
             row: dict[str, Any] = {
-                "kind": "input", "setup": setup.name, "input": kind, "title": TITLES[kind], "scenes": len(scored),
-                "refused": [row["scene"] for row in mine if "refused" in row],
+                "kind": "input", "setup": setup.name, "input": kind, "title": TITLES[kind], **means_and_worst(mine)
             }  # fmt: skip
             rows.append(row)
-            if not scored:
+            if not row["scenes"]:
                 continue
-            row |= mean_fields(scored)
-            worst = max(scored, key=lambda found: float(found["mse"]))
-            row |= {"worst": worst["scene"], "worst_mse": worst["mse"]}
             row["mse_added"] = None if before is None else row["mse"] - before
             before = row["mse"]
     return rows
@@ -120,11 +115,7 @@ def input_checks(rows: Sequence[dict[str, Any]]) -> list[Check]:
     for row in rows:
         if row["input"] != "raw" or "mse" not in row:
             continue
-        for name, bound, direction, why in BOUNDS:
-            checks.append(Check.of(f"from raw, {row['setup']}: {name}", row[name], direction, bound, why))
-        refused = len(row["refused"])
-        why = "a mean over fewer scenes is not the same mean"
-        checks.append(Check.of(f"from raw, {row['setup']}: scenes refused", refused, "<=", 0, why))
+        checks += bound_checks(row, f"from raw, {row['setup']}", BOUNDS)
     return checks
 
 

@@ -47,9 +47,7 @@ def render_radiance(
     ValueError
         ``samples`` is not the square of 1..5.
     """
-    side = round(samples**0.5)
-    if side * side != samples or not 1 <= side <= 5:
-        raise ValueError(f"samples must be 1, 4, 9, 16 or 25, got {samples}")
+    side = samples_side(samples)
     offsets = np.ascontiguousarray(offsets, np.float64)
     rectangles, near = culling.view_rectangles(scene, camera, offsets, aperture)
     lamp_rectangles = culling.lamp_rectangles(scene)
@@ -64,6 +62,14 @@ def render_radiance(
         camera.record(), offsets, rectangles, near, seeds, side, aperture, out, threads,
     )  # fmt: skip
     return out
+
+
+def samples_side(samples: int) -> int:
+    """Root of the number of rays per pixel; raises `ValueError` when it is not the square of 1..5."""
+    side: int = round(samples**0.5)
+    if side * side != samples or not 1 <= side <= 5:
+        raise ValueError(f"samples must be 1, 4, 9, 16 or 25, got {samples}")
+    return side
 
 
 def render_depth(scene: PackedScene, camera: SimCamera, offsets: F64, *, threads: int = 0) -> F32:

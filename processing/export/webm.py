@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
 from lfrig.contracts.errors import ProcessingError
 from lfrig.contracts.progress import Monitor
+from lfrig.contracts.stderr import quiet_stderr
 from lfrig.processing.export.content import Content
 from lfrig.processing.export.sweep import Sweep, circle
 from lfrig.processing.model import F64
@@ -38,7 +36,8 @@ def export_webm(content: Content, out: Path, monitor: Monitor) -> None:
     # VP9 stores colour at half resolution: even sizes only.
     size = max(2, int(width * scale) // 2 * 2), max(2, int(height * scale) // 2 * 2)
     sweep = Sweep(content, size)
-    with _quiet_stderr():
+    # OpenCV's FFmpeg back end prints that it ignores the VP90 tag and goes on.
+    with quiet_stderr():
         writer = cv2.VideoWriter(str(out), cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*"VP90"), FRAMES_PER_S, size)
     if not writer.isOpened():
         raise ProcessingError("OpenCV cannot encode VP9 here", code="codec-missing", remedy=_REMEDY)
@@ -77,19 +76,3 @@ def _check(out: Path, sweep: Sweep, path: F64) -> None:
             f"the video decodes to other pixels (mean difference {error:.0f} of 255)", code="codec-broken",
             remedy=_REMEDY,
         )  # fmt: skip
-
-
-@contextlib.contextmanager
-def _quiet_stderr() -> Iterator[None]:
-    """Close the process's stderr to OpenCV, whose FFmpeg back end prints that it ignores the VP90 tag and goes on.
-
-    It writes to the descriptor, past Python, so nothing smaller silences it. Held for the opening of a file only.
-    """
-    saved = os.dup(2)
-    try:
-        with open(os.devnull, "wb") as sink:  # noqa: PTH123  (os.devnull is no path to join)
-            os.dup2(sink.fileno(), 2)
-        yield
-    finally:
-        os.dup2(saved, 2)
-        os.close(saved)

@@ -8,7 +8,6 @@ Nothing depends on what is in the picture: no automatic brightness, and white is
 from __future__ import annotations
 
 import contextlib
-import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +18,7 @@ from numpy.typing import NDArray
 
 from lfrig.contracts.errors import BadInput, ProcessingError
 from lfrig.contracts.lytro import FILE_MAGIC
+from lfrig.contracts.stderr import quiet_stderr
 from lfrig.rig.session.images import MAX_FILE_BYTES, check_size
 from lfrig.rig.session.tiff_blocks import fault_of_blocks
 
@@ -123,7 +123,8 @@ def _opened(path: Path) -> Iterator[RawPy]:
             remedy="pip install rawpy, or develop the photo to a 16-bit PNG or TIFF first",
         ) from None  # fmt: skip
     try:
-        with _quiet_stderr(), rawpy.imread(str(path)) as raw:
+        # LibRaw prints where data are bad before it says that they are.
+        with quiet_stderr(), rawpy.imread(str(path)) as raw:
             check_size(*_upright_size(raw), path)
             check_size(raw.sizes.raw_width, raw.sizes.raw_height, path)
             yield raw
@@ -174,24 +175,3 @@ def _upright_size(raw: RawPy) -> tuple[int, int]:
     elif aspect > 1:
         width = int(width * aspect + 0.5)
     return (height, width) if sizes.flip & _TRANSPOSED else (width, height)
-
-
-@contextlib.contextmanager
-def _quiet_stderr() -> Iterator[None]:
-    """Close the process's stderr to LibRaw, which prints where data are bad before it says that they are.
-
-    It writes to the descriptor, past Python, so nothing smaller silences it. A progress bar drawn meanwhile is lost
-    until it is drawn again.
-    """
-    try:
-        saved = os.dup(2)
-    except OSError:  # closed already
-        yield
-        return
-    try:
-        with open(os.devnull, "wb") as sink:  # noqa: PTH123  (os.devnull is no path to join)
-            os.dup2(sink.fileno(), 2)
-        yield
-    finally:
-        os.dup2(saved, 2)
-        os.close(saved)

@@ -11,7 +11,7 @@ from lfrig.sim import culling
 from lfrig.sim.optics import SimCamera
 from lfrig.sim.plenoptic import render_numpy
 from lfrig.sim.plenoptic.lattice import Lattice
-from lfrig.sim.renderer import lamp_record
+from lfrig.sim.renderer import lamp_record, samples_side
 from lfrig.sim.scene import F32, PackedScene
 from lfrig.sim.tone import U8
 
@@ -56,9 +56,7 @@ def render_lenslets(
     ValueError
         ``samples`` is not the square of 1..5.
     """
-    side = round(samples**0.5)
-    if side * side != samples or not 1 <= side <= 5:
-        raise ValueError(f"samples must be 1, 4, 9, 16 or 25, got {samples}")
+    side = samples_side(samples)
     height = shape[0]
     # The pupil that a lens's pixels see: to the corner of its hexagon, and half a pixel's diagonal more.
     aperture = 2 * (lattice.pitch_px * max(1.0, lattice.stretch) / np.sqrt(3) + np.sqrt(0.5))
