@@ -19,19 +19,16 @@ class Stage:
 def stage_table() -> tuple[Stage, ...]:
     """All steps in order, each with one thing changed."""
     shipped = Settings()
-    regularised = replace(
-        shipped,
-        refine=replace(shipped.refine, snap=False, far_side_fill=False),
-        edges=replace(shipped.edges, enabled=False),
-    )
-    filled = replace(regularised, refine=replace(regularised.refine, far_side_fill=True))
-    tested = replace(regularised, edges=shipped.edges)
+    refined = replace(shipped, refine=replace(shipped.refine, snap=False))
+    tested = replace(refined, wide_baseline=replace(shipped.wide_baseline, enabled=False))
+    regularised = replace(tested, edges=replace(shipped.edges, enabled=False))
     surface = replace(
         regularised,
         regularise=replace(regularised.regularise, method="none"),
         refine=replace(regularised.refine, smooth=False),
     )
-    visible = replace(surface, fusion=replace(surface.fusion, first_surface=False))
+    grey = replace(surface, fusion=replace(surface.fusion, colour=False))
+    visible = replace(grey, fusion=replace(grey.fusion, first_surface=False))
     affine = replace(visible, fusion=replace(visible.fusion, pool="mean", visibility=False))
     paper = replace(
         affine,
@@ -43,9 +40,10 @@ def stage_table() -> tuple[Stage, ...]:
         Stage("paper", "A: literal planes, mean fusion, full soft-argmax, fit in depth", paper),
         Stage("affine", "exact mapping, affine fit in inverse depth, windowed regression", affine),
         Stage("log-pool", "B: floored log-pool and visibility", visible),
-        Stage("first-surface", "+ first-surface rule", surface),
+        Stage("first-surface", "+ first-surface rule", grey),
+        Stage("colour", "+ the photo's colours against the sources' in the fused volume", surface),
         Stage("sgm", "C: + SGM on the fused volume, plane fit", regularised),
-        Stage("fill", "C′: + far-side fill", filled),
-        Stage("edges", "C + edge test in the photo's colours, without the fill", tested),
+        Stage("edges", "+ edge test in the photo's colours", tested),
+        Stage("wide-baseline", "D: + narrow-band wide-baseline refinement", refined),
         Stage("snap", "preset fast: + snap to the photo's edges", shipped),
     )

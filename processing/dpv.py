@@ -18,6 +18,7 @@ from lfrig.contracts.progress import Monitor
 from lfrig.processing.kernels.plane_cost import grey_views, plane_cost
 from lfrig.processing.kernels.sgm import aggregate
 from lfrig.processing.model import F32, Evidence, LightField
+from lfrig.processing.plain_areas import DEFAULT_PLAIN, PlainSettings, blend_plain_cost, find_plain_areas
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,8 @@ class DpvSettings:
     occlusion_radius: int = 4
     occlusion_bias_grey: float = 0.25
     """What a half of the aperture must be better than all of it: keeps noise from choosing halves."""
-    noise_share: float = 0.6
+    plain: PlainSettings = DEFAULT_PLAIN
+    noise_share: float = 0.8
     """How fast penalties grow, and the temperature rises, per grey level of noise."""
 
 
@@ -88,6 +90,10 @@ def light_field_evidence(
         aggregate, guide=light_field.centre_view, p1=settings.p1_grey * swell, p2=settings.p2_grey * swell,
         edge_grey=settings.edge_grey, threads=threads, monitor=monitor,
     )  # fmt: skip
+    plain = None
+    if settings.plain.enabled:
+        plain = find_plain_areas(grey, centre, offsets, noise, settings.plain)
+        blend_plain_cost(cost, plain, first, step, settings.inverse_temperature / swell, settings.plain.cap_grey)
     total = smooth(cost)
     tested = 0.0
     if settings.occlusion_aware:

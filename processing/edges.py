@@ -12,12 +12,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lfrig.processing.geometry import project, projection
 from lfrig.processing.model import F32, U8, Camera, Pose, Source
-
-Mask = NDArray[np.bool_]
+from lfrig.processing.tone import blurred, fit_tone
+from lfrig.processing.visibility import Landing, Mask, land
 
 
 @dataclass(frozen=True)
@@ -70,10 +68,8 @@ def decide_edges(
     near_value, far_value, is_near, tested = _hypotheses(inverse_depth, px_per_inverse, settings)
     if not tested.any():
         return inverse_depth, 0
-    blurred = cv2.GaussianBlur(photo.astype(np.float32), (0, 0), settings.blur_px)
-    near_cost, far_cost = _colour_costs(
-        (near_value, far_value), inverse_depth, sources, camera, pose, blurred, settings
-    )
+    own = blurred(photo, settings.blur_px)
+    near_cost, far_cost = _colour_costs((near_value, far_value), inverse_depth, sources, camera, pose, own, settings)
     preference = far_cost - near_cost + settings.inertia_grey * np.where(is_near, 1, -1)
     preference = np.asarray(np.where(tested, preference, 0), np.float32)
     decided = cv2.ximgproc.guidedFilter(
@@ -123,17 +119,15 @@ def _colour_costs(
     settings: EdgeSettings,
 ) -> list[F32]:
     """For each hypothesis the mean capped colour difference [grey levels] over the sources that see it, [H, W]."""
-    ys, xs = np.mgrid[0 : camera.height, 0 : camera.width].astype(np.float32)
     total = [np.zeros_like(current) for _ in hypotheses]
     mass = [np.zeros_like(current) for _ in hypotheses]
     for source in sources:
-        matrix, offset = projection(camera, pose, source.camera, source.pose)
-        image = _blurred_centre(source, settings.blur_px)
-        colour, seen = _look(source, image, *project(matrix, offset, xs, ys, current), settings)
-        gain = colour_gain(photo, colour, seen > 0.5)
+        image = blurred(source.light_field.centre_view, settings.blur_px)
+        colour, seen = _look(image, land(current, source, camera, pose), settings)
+        tone = fit_tone(photo, colour, seen > 0.5)
         for k, hypothesis in enumerate(hypotheses):
-            colour, seen = _look(source, image, *project(matrix, offset, xs, ys, hypothesis), settings)
-            difference = np.abs(photo - np.clip(colour * gain, 0, 255)).mean(2)
+            colour, seen = _look(image, land(hypothesis, source, camera, pose), settings)
+            difference = np.abs(photo - tone.apply(colour)).mean(2)
             total[k] += seen * np.minimum(difference, np.float32(settings.cap_grey))
             mass[k] += seen
     # Where nobody looks, nothing speaks for or against.
@@ -141,33 +135,9 @@ def _colour_costs(
     return [np.where(m > 0.05, t / np.maximum(m, 0.05), unknown) for t, m in zip(total, mass, strict=True)]
 
 
-def _blurred_centre(source: Source, sigma: float) -> F32:
+def _look(image: F32, landing: Landing, settings: EdgeSettings) -> tuple[F32, F32]:
+    """Colour float32 [H, W, 3] that a source shows where points land, and how far it sees them there, 0..1 [H, W]."""
     import cv2
 
-    return np.asarray(cv2.GaussianBlur(source.light_field.centre_view.astype(np.float32), (0, 0), sigma))
-
-
-def _look(source: Source, image: F32, u: F32, v: F32, w: F32, settings: EdgeSettings) -> tuple[F32, F32]:
-    """Colour float32 [H, W, 3] that a source shows at (u, v), and how far it sees the point there, 0..1 [H, W]."""
-    import cv2
-
-    u, v = np.nan_to_num(u, nan=-9e3), np.nan_to_num(v, nan=-9e3)
-    colour = cv2.remap(image, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    own = cv2.remap(source.evidence.disparity, u, v, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)
-    hidden = (own - source.scale.disparity(np.nan_to_num(w)) - settings.margin_px) / (0.5 * settings.margin_px)
-    inside = (u >= 0) & (v >= 0) & (u <= source.camera.width - 1) & (v <= source.camera.height - 1)
-    return np.asarray(colour), np.asarray(np.clip(1 - hidden, 0, 1) * inside, np.float32)
-
-
-def colour_gain(photo: F32, colour: F32, seen: Mask) -> F32:
-    """Factor per channel that takes a source's colours to the photo's: the median ratio where both are well exposed.
-
-    Exposure and white balance differ from shot to shot; in gamma-encoded values both are factors. float32 [3].
-    """
-    gain = np.ones(3, np.float32)
-    for channel in range(3):
-        a, b = photo[..., channel], colour[..., channel]
-        fair = seen & (a > 20) & (a < 235) & (b > 20) & (b < 235)
-        if int(fair.sum()) > 100:
-            gain[channel] = np.median(a[fair] / b[fair])
-    return gain
+    colour = cv2.remap(image, landing.u, landing.v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(colour), landing.visible(settings.margin_px)

@@ -37,12 +37,14 @@ from lfrig.processing.model import (
     SynthesizedLightField,
 )
 from lfrig.processing.poses import PoseMethod, PoseSolution, solve_poses
-from lfrig.processing.refine import RefineSettings, fill_unseen, smooth, snap_to_edges, support
+from lfrig.processing.refine import RefineSettings, smooth, snap_to_edges
 from lfrig.processing.regularise import RegulariseSettings, regularise
 from lfrig.processing.resolution import scale_light_field, scale_photo
 from lfrig.processing.scale_fit import ScaleFitSettings, fit_scale
 from lfrig.processing.stages import StageClock
 from lfrig.processing.synthesis import SynthesisSettings, render_views
+from lfrig.processing.visibility import support
+from lfrig.processing.wide_baseline import WideBaselineSettings, refine_wide
 
 PRESETS = ("fast",)
 LATER_PRESETS = ("preview", "balanced", "paper")
@@ -57,6 +59,7 @@ class Settings:
     fusion: FusionSettings = field(default_factory=FusionSettings)
     regularise: RegulariseSettings = field(default_factory=RegulariseSettings)
     refine: RefineSettings = field(default_factory=RefineSettings)
+    wide_baseline: WideBaselineSettings = field(default_factory=WideBaselineSettings)
     edges: EdgeSettings = field(default_factory=EdgeSettings)
     synthesis: SynthesisSettings = field(default_factory=SynthesisSettings)
 
@@ -161,7 +164,9 @@ def process(
     camera, pose = solution.target_camera, solution.target_pose
     with clock.stage("fusion", len(ready)) as note:
         limits = inverse_depth_range(ready, camera, pose, _depth_range(working, prior, solution))
-        volume = fuse(ready, camera, pose, limits, settings.fusion, threads=threads, monitor=monitor)
+        volume = fuse(
+            ready, camera, pose, limits, settings.fusion, photo=photo.image8, threads=threads, monitor=monitor
+        )
         note.done(volume.inside, "voxels")
         note.skipped(volume.voxels - volume.inside, "voxels")
     with clock.stage("surface", None) as note:
@@ -169,7 +174,7 @@ def process(
         note.done(inverse_depth.size, "pixels")
     del volume
     with clock.stage("refine", None) as note:
-        surface, moved = _refine(inverse_depth, peak, ready, photo, camera, pose, request, limits, settings)
+        surface, moved = _refine(inverse_depth, peak, ready, photo, camera, pose, request, settings, threads, monitor)
         note.done(moved, "pixels moved")
         note.skipped(inverse_depth.size - moved, "pixels moved")
     with clock.stage("synthesis", options.rows * options.cols) as note:
@@ -287,28 +292,29 @@ def _refine(
     camera: Camera,
     pose: Pose,
     request: LightFieldRequest,
-    limits: tuple[float, float],
     settings: Settings,
+    threads: int,
+    monitor: Monitor,
 ) -> tuple[Surface, int]:
-    """Refine the surface; also the number of pixels that were filled or changed sides."""
+    """Refine the surface; also the number of pixels that were refined or changed sides."""
     knobs, image = settings.refine, photo.image8
     px = request.baseline_m * camera.focal_px
-    if knobs.smooth:
-        inverse_depth = smooth(inverse_depth, peak, image, px, knobs)
     moved = 0
-    if knobs.far_side_fill:
-        agreeing, in_view = support(inverse_depth, ready, camera, pose, knobs)
-        raw = peak**2 * np.minimum(agreeing, 1)
-        # Beyond every source's frame there is nothing behind which something could hide: the regularised value stays.
-        unseen = in_view & ((agreeing == 0) | ((raw < knobs.low_confidence) & (peak < knobs.low_peak)))
-        inverse_depth = fill_unseen(inverse_depth, raw, unseen, image, px, limits, knobs)
-        moved += int(unseen.sum())
+    if knobs.smooth:
+        planes = smooth(inverse_depth, peak, image, px, knobs)
+        inverse_depth = planes.value
+        if settings.wide_baseline.enabled:
+            match = refine_wide(
+                planes, ready, camera, pose, image, settings.wide_baseline, threads=threads, monitor=monitor
+            )
+            inverse_depth = match.inverse_depth
+            moved += int(match.accepted.sum())
     if settings.edges.enabled:
         inverse_depth, changed = decide_edges(inverse_depth, ready, camera, pose, image, px, settings.edges)
         moved += changed
     if knobs.snap:
         inverse_depth = snap_to_edges(inverse_depth, image, px, knobs)
-    agreeing, in_view = support(inverse_depth, ready, camera, pose, knobs)
+    agreeing, in_view = support(inverse_depth, ready, camera, pose, knobs.support_px)
     probability, sigma_px = confidence_model.calibrate(inverse_depth * np.float32(px), peak, agreeing, in_view)
     surface = Surface(inverse_depth, probability, np.asarray(sigma_px / px, np.float32), agreeing)
     return surface, moved

@@ -2,10 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
 from lfrig.processing.model import F32, U8
+
+
+@dataclass(frozen=True)
+class Planes:
+    """A map with its slopes: ``value``, ``slope_x``, ``slope_y`` (per pixel), float32 [H, W] each."""
+
+    value: F32
+    slope_x: F32
+    slope_y: F32
 
 
 def local_planes(

@@ -1,21 +1,13 @@
-"""Surface → better surface: support by the sources, unseen areas from the far side, a snap to the photo's edges.
-
-The wide-baseline refinement (slanted bilateral ZNCC of the photo against the sources' centre views, in a narrow band
-around this surface) takes its place between `smooth` and `edges.decide_edges`; it needs what they share: the surface,
-its slopes, and which source sees what.
-"""
+"""Surface → better surface: plane fits that take plane quantisation out, and a snap to the photo's edges."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lfrig.processing.geometry import project, projection
-from lfrig.processing.model import F32, U8, Camera, Pose, Source
-from lfrig.processing.plane_fit import local_planes
+from lfrig.processing.model import F32, U8
+from lfrig.processing.plane_fit import Planes, local_planes
 
 
 @dataclass(frozen=True)
@@ -26,19 +18,8 @@ class RefineSettings:
     smooth_radius: int = 5
     smooth_sigma_px: float = 0.028
     smooth_sigma_grey: float = 40.0
-    far_side_fill: bool = False
-    """Off by default: since surfaces come from SGM and edges are tested, it loses on the tuning scenes (it won where a
-    pixel took its own best plane)."""
     support_px: float = 0.06
     """A source supports the surface when its own disparity agrees this well."""
-    low_confidence: float = 0.15
-    low_peak: float = 0.3
-    fill_radius: int = 24
-    fill_stride: int = 3
-    fill_gap_px: float = 0.17
-    """Near and far neighbours this far apart count as two surfaces; the far one is continued."""
-    fill_window: int = 49
-    fill_sigma_grey: float = 25.0
     snap: bool = True
     snap_radius: int = 3
     snap_threshold_px: float = 0.0175
@@ -50,81 +31,23 @@ class RefineSettings:
 DEFAULT_REFINE = RefineSettings()
 
 
-def support(
-    inverse_depth: F32, sources: Sequence[Source], camera: Camera, pose: Pose, settings: RefineSettings
-) -> tuple[F32, NDArray[np.bool_]]:
-    """How many sources see each surface point and agree with it.
-
-    Returns
-    -------
-    agreeing : float32 [H, W]
-    in_view : bool [H, W], inside at least one source's frame.
-    """
-    import cv2
-
-    ys, xs = np.mgrid[0 : camera.height, 0 : camera.width].astype(np.float32)
-    agreeing = np.zeros(inverse_depth.shape, np.float32)
-    in_view = np.zeros(inverse_depth.shape, bool)
-    for source in sources:
-        u, v, w = project(*projection(camera, pose, source.camera, source.pose), xs, ys, inverse_depth)
-        u, v = np.nan_to_num(u, nan=-9e3), np.nan_to_num(v, nan=-9e3)
-        own = cv2.remap(
-            source.evidence.disparity, u, v, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=1e3
-        )
-        agreeing += np.abs(source.scale.disparity(w) - own) < settings.support_px
-        in_view |= (u >= 0) & (v >= 0) & (u <= source.camera.width - 1) & (v <= source.camera.height - 1)
-    return agreeing, in_view
-
-
-def smooth(inverse_depth: F32, peak: F32, photo: U8, px_per_inverse: float, settings: RefineSettings) -> F32:
-    """Two rounds of bilateral plane fits: the surface without plane quantisation, steps kept.
+def smooth(inverse_depth: F32, peak: F32, photo: U8, px_per_inverse: float, settings: RefineSettings) -> Planes:
+    """Two rounds of bilateral plane fits: the surface without plane quantisation, steps kept, and its slopes.
 
     ``px_per_inverse`` is b·F of the requested light field [px·m].
     """
     everywhere = np.ones(inverse_depth.shape, bool)
-    surface, slopes = inverse_depth, None
+    planes = None
     for _ in range(2):
+        value = inverse_depth if planes is None else planes.value
         v, gx, gy, _ = local_planes(
-            surface, peak**2 + np.float32(1e-3), photo, everywhere, radius=settings.smooth_radius,
+            value, peak**2 + np.float32(1e-3), photo, everywhere, radius=settings.smooth_radius,
             sigma_value=settings.smooth_sigma_px / px_per_inverse, sigma_grey=settings.smooth_sigma_grey, ridge=20.0,
-            slopes=slopes,
+            slopes=None if planes is None else (planes.slope_x, planes.slope_y),
         )  # fmt: skip
-        surface = v.reshape(surface.shape)
-        slopes = gx.reshape(surface.shape), gy.reshape(surface.shape)
-    return surface
-
-
-def fill_unseen(
-    inverse_depth: F32,
-    confidence: F32,
-    unseen: NDArray[np.bool_],
-    photo: U8,
-    px_per_inverse: float,
-    limits: tuple[float, float],
-    settings: RefineSettings,
-) -> F32:
-    """Continue the surface into pixels that no source saw, from the far side where near and far meet.
-
-    What a source cannot see beside an object is what the object hides, so it belongs to the surface behind. Planes
-    are extrapolated from confident neighbours within ``fill_radius``; ``limits`` bound the result [1/m].
-    """
-    import cv2
-
-    if not unseen.any():
-        return inverse_depth
-    window = np.ones((settings.fill_window, settings.fill_window), np.uint8)
-    trusted = confidence > 0.2
-    lowest = cv2.erode(np.where(trusted, inverse_depth, np.float32(1e9)), window)
-    highest = cv2.dilate(np.where(trusted, inverse_depth, np.float32(-1e9)), window)
-    two_surfaces = (highest - lowest) * px_per_inverse > settings.fill_gap_px
-    ceiling = np.where(two_surfaces, 0.5 * (lowest + highest), np.float32(np.inf)).astype(np.float32)
-    v, _, _, strength = local_planes(
-        inverse_depth, confidence + np.float32(1e-6), photo, unseen, radius=settings.fill_radius,
-        stride=settings.fill_stride, sigma_value=1e6, sigma_grey=settings.fill_sigma_grey, ridge=400.0, ceiling=ceiling,
-    )  # fmt: skip
-    out = inverse_depth.copy()
-    out[unseen] = np.where(strength > 1e-3, np.clip(v, *limits), out[unseen])
-    return out
+        planes = Planes(*(part.reshape(inverse_depth.shape) for part in (v, gx, gy)))
+    assert planes is not None
+    return planes
 
 
 def snap_to_edges(inverse_depth: F32, photo: U8, px_per_inverse: float, settings: RefineSettings) -> F32:

@@ -39,7 +39,7 @@ def _named(*builders: SceneBuilder) -> Mapping[str, SceneBuilder]:
 
 TUNING = _named(
     tuning.tabletop, tuning.chequered, tuning.plaster, tuning.reeds, tuning.marbles, tuning.colonnade, tuning.blocks,
-    tuning.lanterns, tuning.poster,
+    tuning.lanterns, tuning.poster, tuning.atelier,
 )  # fmt: skip
 REPORTING = _named(
     reporting.desk, reporting.masonry, reporting.studio, reporting.fence, reporting.glaze, reporting.shelf,

@@ -174,3 +174,19 @@ def poster(seed: int) -> Scene:
     ]
     floor = tx.noise(seed + 3, "meadow", 0.2)
     return stage("poster", objects, cloth(floor), cloth(tx.noise(seed + 4, "sea", 0.3)))
+
+
+def atelier(seed: int) -> Scene:
+    """Plain bodies before a plain backdrop, shaded softly: only edges, shadows and a faint floor carry texture."""
+    objects = [
+        ball(0.045, 0.015, 0.034, paint(0.80, 0.78, 0.70)),
+        crate(-0.055, -0.005, (0.024, 0.030, 0.034), paint(0.55, 0.64, 0.58), -25),
+        column(-0.005, 0.055, 0.018, 0.090, paint(0.78, 0.60, 0.52)),
+        ring(0.060, -0.070, 0.020, 0.010, paint(0.45, 0.50, 0.62)),
+        panel(0.090, 0.100, 0.030, 0.040, cloth(tx.gradient((0.85, 0.80, 0.70), (0.60, 0.55, 0.55), 0.1)), -15),
+        crate(-0.030, -0.080, (0.014, 0.014, 0.008), cloth(tx.dead_leaves(seed + 1, "autumn", 0.08)), 35),
+        column(-0.100, 0.060, 0.012, 0.060, cloth(tx.weak(seed + 2, (0.66, 0.62, 0.60), 0.15, 0.02))),
+    ]
+    floor = tx.weak(seed + 3, (0.66, 0.64, 0.60), 0.2, 0.012)
+    wall = tx.gradient((0.62, 0.58, 0.54), (0.78, 0.80, 0.82), 0.5)
+    return stage("atelier", objects, cloth(floor), cloth(wall), wall_m=0.25)

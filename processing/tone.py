@@ -1,0 +1,90 @@
+"""Colours of a source in the photo's: exposure, white balance and tone curve differ from shot to shot.
+
+In gamma-encoded values exposure and white balance are factors, and a steeper or flatter tone curve an exponent: per
+channel ``photo ≈ gain · source^gamma`` [grey levels of 0..255], fitted to pixels that both show well exposed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfrig.processing.model import F32, U8
+
+Mask = NDArray[np.bool_]
+
+FAIR = (20.0, 235.0)
+"""Grey levels between which a value is neither noise nor clipped."""
+ENOUGH = 100
+GAMMA_LIMITS = (0.6, 1.6)
+SPREAD = 0.15
+"""Standard deviation of log values below which only a gain is fitted."""
+SATURATED_GREY = 250
+
+
+@dataclass(frozen=True)
+class Tone:
+    """Per channel ``gain · value^gamma``, float32 [3] each."""
+
+    gain: F32
+    gamma: F32
+
+    def apply(self, colour: F32) -> F32:
+        """Grey levels [..., 3] in the photo's tone, clipped to 0..255."""
+        lifted = np.maximum(colour, np.float32(0))
+        if np.abs(self.gamma - 1).max() > 1e-6:
+            lifted = np.power(lifted, self.gamma, dtype=np.float32)
+        return np.asarray(np.clip(lifted * self.gain, 0, 255), np.float32)
+
+
+def fit_tone(photo: F32, colour: F32, seen: Mask) -> Tone:
+    """Robust fit; the identity for channels with too few fair pixels.
+
+    Parameters
+    ----------
+    photo, colour : float32 [..., 3]
+        Grey levels that belong together, where ``seen``.
+    """
+    gain, gamma = np.ones(3, np.float32), np.ones(3, np.float32)
+    for channel in range(3):
+        a, b = photo[..., channel], colour[..., channel]
+        fair = seen & (a > FAIR[0]) & (a < FAIR[1]) & (b > FAIR[0]) & (b < FAIR[1])
+        if int(fair.sum()) > ENOUGH:
+            gain[channel], gamma[channel] = _fit_channel(np.log(a[fair]), np.log(b[fair]))
+    return Tone(gain, gamma)
+
+
+def _fit_channel(photo: F32, source: F32) -> tuple[float, float]:
+    """Gain and gamma from logarithms [M]: iteratively reweighted (Tukey) straight line, or the median offset."""
+    offset = float(np.median(photo - source))
+    if float(source.std()) < SPREAD:
+        return float(np.exp(offset)), 1.0
+    x, y = source.astype(np.float64), photo.astype(np.float64)
+    slope, level = 1.0, offset
+    for _ in range(8):
+        residual = y - slope * x - level
+        scale = 1.4826 * float(np.median(np.abs(residual))) + 1e-3
+        weight = np.clip(1 - (residual / (4.685 * scale)) ** 2, 0, 1) ** 2
+        total = weight.sum()
+        mx, my = (weight * x).sum() / total, (weight * y).sum() / total
+        slope = float((weight * (x - mx) * (y - my)).sum() / max((weight * (x - mx) ** 2).sum(), 1e-12))
+        slope = float(np.clip(slope, *GAMMA_LIMITS))
+        level = float(my - slope * mx)
+    return float(np.exp(level)), slope
+
+
+def blurred(image: U8, sigma: float) -> F32:
+    """Grey levels float32 [H, W, 3] of an 8-bit image, blurred."""
+    import cv2
+
+    return np.asarray(cv2.GaussianBlur(image.astype(np.float32), (0, 0), sigma), np.float32)
+
+
+def saturation(image: U8, sigma: float) -> F32:
+    """Share of saturated pixels in each pixel's blur, float32 [H, W]."""
+    import cv2
+
+    clipped = (image >= SATURATED_GREY).any(2).astype(np.float32)
+    return np.asarray(cv2.GaussianBlur(clipped, (0, 0), sigma), np.float32)

@@ -1,0 +1,67 @@
+"""Who sees the surface: where its points lie in each source, and whether its own surface hides or confirms them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfrig.processing.geometry import project, projection
+from lfrig.processing.model import F32, Camera, Pose, Source
+
+Mask = NDArray[np.bool_]
+FAR_OUTSIDE = -9e3
+
+
+@dataclass(frozen=True)
+class Landing:
+    """Where the points of a surface lie in a source.
+
+    ``u``, ``v`` float32 [H, W] px, far outside where a point is behind the source; ``inside`` bool [H, W], within the
+    source's frame; ``ahead`` float32 [H, W], how much nearer the source's own surface is there [px per view step]
+    (0 where they agree, positive where it hides the point).
+    """
+
+    u: F32
+    v: F32
+    inside: Mask
+    ahead: F32
+
+    def visible(self, margin_px: float) -> F32:
+        """How far the source sees each point, 0..1 float32 [H, W]: falls from 1 to 0 between 1 and 1.5 margins."""
+        hidden = (self.ahead - np.float32(margin_px)) / np.float32(0.5 * margin_px)
+        return np.asarray(np.clip(1 - hidden, 0, 1) * self.inside, np.float32)
+
+    def agrees(self, tolerance_px: float) -> Mask:
+        """Where the source's own disparity is that of the point."""
+        return np.asarray(self.inside & (np.abs(self.ahead) < tolerance_px))
+
+
+def land(inverse_depth: F32, source: Source, camera: Camera, pose: Pose) -> Landing:
+    """Carry a surface float32 [H, W] (1/m, in the frame of ``camera`` at ``pose``) into a source."""
+    import cv2
+
+    ys, xs = np.mgrid[0 : camera.height, 0 : camera.width].astype(np.float32)
+    u, v, w = project(*projection(camera, pose, source.camera, source.pose), xs, ys, inverse_depth)
+    u, v = np.nan_to_num(u, nan=FAR_OUTSIDE), np.nan_to_num(v, nan=FAR_OUTSIDE)
+    own = cv2.remap(source.evidence.disparity, u, v, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)
+    inside = (u >= 0) & (v >= 0) & (u <= source.camera.width - 1) & (v <= source.camera.height - 1)
+    ahead = np.asarray(own - source.scale.disparity(np.nan_to_num(w)), np.float32)
+    return Landing(u, v, np.asarray(inside), ahead)
+
+
+def support(
+    inverse_depth: F32, sources: Sequence[Source], camera: Camera, pose: Pose, tolerance_px: float
+) -> tuple[F32, Mask]:
+    """How many sources see each surface point and agree with it.
+
+    Returns
+    -------
+    agreeing : float32 [H, W]
+    in_view : bool [H, W], inside at least one source's frame.
+    """
+    landings = [land(inverse_depth, source, camera, pose) for source in sources]
+    agreeing = np.asarray(sum(landing.agrees(tolerance_px).astype(np.float32) for landing in landings), np.float32)
+    return agreeing, np.asarray(np.any([landing.inside for landing in landings], axis=0))

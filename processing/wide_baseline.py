@@ -1,0 +1,175 @@
+"""Wide-baseline refinement: the photo against the sources' centre views, in a narrow band around the fused surface.
+
+The photo and a source stand 10–20° apart, a hundred times the baseline of a light field: their match is some 25 times
+as precise in depth, but ambiguous. The surface that the light fields gave resolves the ambiguity: it is the middle of
+the band, tilts the patches, and says who sees what. Labels are relative to it, about one pixel of the widest source
+apart, and aggregated along planes that continue it (`kernels.sgm`, ``shift``). Where no source agrees with the result
+or the match is poor, the surface stays as it was.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from lfrig.contracts.progress import Monitor
+from lfrig.processing.geometry import projection
+from lfrig.processing.kernels.band_cost import Patch, band_cost
+from lfrig.processing.kernels.sgm import I16, aggregate
+from lfrig.processing.model import F32, U8, Camera, Pose, Source
+from lfrig.processing.plane_fit import Planes
+from lfrig.processing.visibility import Mask, land, support
+
+
+@dataclass(frozen=True)
+class WideBaselineSettings:
+    """Knobs; chosen on the tuning scenes."""
+
+    enabled: bool = True
+    labels: int = 32
+    step_px: float = 1.0
+    """Between labels, in pixels of the source that moves most."""
+    radius: int = 4
+    stride: int = 2
+    sigma_grey: float = 40.0
+    noise_floor: float = 1.0
+    """Variance [grey levels²] that counts as no texture, beside that of the measured noise."""
+    cap: float = 1.0
+    p1: float = 0.2
+    p2: float = 2.0
+    edge_grey: float = 30.0
+    margin_px: float = 0.08
+    """Slack of the visibility test [px per view step of the source]."""
+    support_px: float = 0.06
+    accept_cost: float = 0.8
+    accept_seen: float = 0.4
+
+
+DEFAULT_WIDE_BASELINE = WideBaselineSettings()
+LUMA = np.array([0.299, 0.587, 0.114], np.float32)
+LUMA_NOISE = 0.45
+"""Variance of luma from independent noise of variance 1 in R, G and B."""
+
+
+@dataclass(frozen=True)
+class WideMatch:
+    """``inverse_depth`` float32 [H, W]; ``cost`` float32 [H, W], 1 − ZNCC of the best label (the cap where nothing was
+    compared); ``seen`` float32 [H, W], sources that see the surface; ``accepted`` bool [H, W].
+    """
+
+    inverse_depth: F32
+    cost: F32
+    seen: F32
+    accepted: Mask
+
+
+def refine_wide(
+    surface: Planes,
+    sources: Sequence[Source],
+    camera: Camera,
+    pose: Pose,
+    photo: U8,
+    settings: WideBaselineSettings = DEFAULT_WIDE_BASELINE,
+    *,
+    threads: int = 0,
+    monitor: Monitor | None = None,
+) -> WideMatch:
+    """Refine a surface.
+
+    Parameters
+    ----------
+    surface : Planes
+        Inverse depth [1/m] and its slopes per pixel, float32 [H, W] each.
+    photo : uint8 [H, W, 3]
+    """
+    step = settings.step_px / pixels_per_inverse_depth(surface.value, sources, camera, pose)
+    visible = [land(surface.value, s, camera, pose).visible(settings.margin_px) for s in sources]
+    seen = np.asarray(np.sum(visible, axis=0), np.float32)
+    cost = _cost(surface, visible, seen, sources, camera, pose, photo, step, settings, threads)
+    total = aggregate(
+        cost, photo, settings.p1, settings.p2, settings.edge_grey, shift=label_shifts(surface, step),
+        threads=threads, monitor=monitor,
+    )  # fmt: skip
+    moved = surface.value + np.float32(step) * (_parabola(total) - np.float32(settings.labels // 2))
+    best = cost.min(2)
+    agreeing, _ = support(moved, sources, camera, pose, settings.support_px)
+    accepted = (agreeing > 0) & (seen > settings.accept_seen) & (best < settings.accept_cost)
+    return WideMatch(np.where(accepted, moved, surface.value).astype(np.float32), best, seen, accepted)
+
+
+def _cost(
+    surface: Planes,
+    visible: Sequence[F32],
+    seen: F32,
+    sources: Sequence[Source],
+    camera: Camera,
+    pose: Pose,
+    photo: U8,
+    step: float,
+    settings: WideBaselineSettings,
+    threads: int,
+) -> F32:
+    """Mean over the sources that see a pixel, float32 [H, W, K]; the cap where none does."""
+    grey = np.asarray(photo.astype(np.float32) @ LUMA)
+    total = np.zeros((*grey.shape, settings.labels), np.float32)
+    for source, weight in zip(sources, visible, strict=True):
+        noise = settings.noise_floor + LUMA_NOISE * source.evidence.noise_sigma**2
+        patch = Patch(settings.radius, settings.stride, settings.sigma_grey, noise, settings.cap)
+        part = band_cost(
+            grey, photo, np.asarray(source.light_field.centre_view.astype(np.float32) @ LUMA), weight,
+            (surface.value, surface.slope_x, surface.slope_y), projection(camera, pose, source.camera, source.pose),
+            step, settings.labels, patch, threads=threads,
+        )  # fmt: skip
+        part *= weight[..., None]
+        total += part
+    none = seen <= 0.01
+    total /= np.maximum(seen, np.float32(0.01))[..., None]
+    total[none] = settings.cap
+    return np.asarray(total, np.float32)
+
+
+def pixels_per_inverse_depth(inverse_depth: F32, sources: Sequence[Source], camera: Camera, pose: Pose) -> float:
+    """How far [px] a surface point at the photo's centre moves in the source where it moves most, per 1/m."""
+    middle = np.full((1, 1), np.median(inverse_depth), np.float64)
+    delta = 1e-3 * abs(float(middle[0, 0])) + 1e-9
+    x, y = np.full((1, 1), camera.cx), np.full((1, 1), camera.cy)
+    fastest = 1e-9
+    for source in sources:
+        matrix, offset = projection(camera, pose, source.camera, source.pose)
+        ends = [matrix @ [x[0, 0], y[0, 0], 1.0] + offset * w for w in (middle[0, 0], middle[0, 0] + delta)]
+        if min(end[2] for end in ends) > 1e-9:
+            shift = ends[1][:2] / ends[1][2] - ends[0][:2] / ends[0][2]
+            fastest = max(fastest, float(np.hypot(*shift)) / delta)
+    return fastest
+
+
+def label_shifts(surface: Planes, step: float) -> I16:
+    """Which label of a neighbour continues the plane of a pixel's label, int16 [4, H, W] (see `kernels.sgm`)."""
+    w, gx, gy = surface.value, surface.slope_x, surface.slope_y
+    out = np.zeros((4, *w.shape), np.int16)
+    ahead, back = slice(1, None), slice(None, -1)
+    steps = (
+        ((slice(None), back), (slice(None), ahead), 1, 0),
+        ((back, slice(None)), (ahead, slice(None)), 0, 1),
+        ((back, back), (ahead, ahead), 1, 1),
+        ((back, ahead), (ahead, back), -1, 1),
+    )
+    for k, (here, there, dx, dy) in enumerate(steps):
+        continued = w[here] + 0.5 * ((gx[here] + gx[there]) * dx + (gy[here] + gy[there]) * dy)
+        out[k][here] = np.clip(np.rint((continued - w[there]) / np.float32(step)), -9999, 9999)
+    return out
+
+
+def _parabola(total: F32) -> F32:
+    """Label of the least cost, to a fraction, float32 [H, W]."""
+    labels = total.shape[2]
+    best = total.argmin(2)
+    inner = np.clip(best, 1, max(labels - 2, 1)) if labels >= 3 else best
+    if labels < 3:
+        return np.asarray(best, np.float32)
+    before, at, after = (np.take_along_axis(total, (inner + d)[..., None], 2)[..., 0] for d in (-1, 0, 1))
+    curvature = before - 2 * at + after
+    offset = np.where((inner == best) & (curvature > 1e-9), 0.5 * (before - after) / np.maximum(curvature, 1e-9), 0)
+    return np.asarray(best + offset, np.float32)
