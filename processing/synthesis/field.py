@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from lfrig.processing.model import F32
 from lfrig.processing.synthesis.settings import DEFAULT_SYNTHESIS, Method, SynthesisSettings
 
+SUBPIXELS = np.array([(-0.25, -0.25), (-0.25, 0.25), (0.25, -0.25), (0.25, 0.25)], np.float32)
+
 
 def view_offsets(rows: int, cols: int) -> list[tuple[float, float]]:
     """(dr, dc) of every view from the centre of the grid, row-major."""
@@ -43,17 +45,22 @@ def splat(disparity: F32, dr: float, dc: float, where: NDArray[np.bool_] | None 
     where : bool [H, W], optional
         The pixels to carry; by default all.
     """
+    import cv2
+
     height, width = disparity.shape
-    carried = np.nonzero(np.ones(disparity.shape, bool) if where is None else where)
-    ys, xs = (a.astype(np.float32) for a in carried)
-    near = disparity[carried]
+    if where is None:
+        near = cv2.resize(disparity, (2 * width, 2 * height), interpolation=cv2.INTER_NEAREST)
+        ys, xs = np.mgrid[0 : 2 * height, 0 : 2 * width].astype(np.float32)
+        ys, xs = (ys - 0.5) / 2, (xs - 0.5) / 2
+    else:
+        ys, xs = (a.astype(np.float32) for a in np.nonzero(where))
+        ys, xs = (ys + SUBPIXELS[:, :1]).ravel(), (xs + SUBPIXELS[:, 1:]).ravel()
+        near = np.tile(disparity[where], len(SUBPIXELS))
+    x = np.rint(xs - np.float32(dc) * near).astype(np.int32)
+    y = np.rint(ys - np.float32(dr) * near).astype(np.int32)
+    inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
     out = np.full(height * width, -np.inf, np.float32)
-    for sub_y in (-0.25, 0.25):
-        for sub_x in (-0.25, 0.25):
-            x = np.rint(xs + np.float32(sub_x) - np.float32(dc) * near).astype(np.int32)
-            y = np.rint(ys + np.float32(sub_y) - np.float32(dr) * near).astype(np.int32)
-            inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
-            np.maximum.at(out, y[inside] * width + x[inside], near[inside])
+    np.maximum.at(out, y[inside] * width + x[inside], near[inside])
     return out.reshape(height, width)
 
 
