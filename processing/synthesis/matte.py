@@ -55,7 +55,10 @@ def split_layers(photo_grey: F32, disparity: F32, reach_px: int, settings: Synth
     far = near_rim(-disparity, step) & ~near
     rim = near | far
     beyond = (far | (_dilate(far, 1) & ~near & (_highest(disparity, 2) - disparity > step))) & ~behind.peeled
-    near_grey, near_known = grow(photo_grey, behind.peeled & ~rim & ~beyond, rim | beyond, reach_px)
+    continued = beyond
+    for _ in range(MARGIN_PX):
+        continued = continued | (_dilate(continued, 1) & ~behind.peeled & ~near)
+    near_grey, near_known = grow(photo_grey, behind.peeled & ~rim & ~beyond, rim | continued, reach_px + MARGIN_PX)
     # What is left of a near surface deeper than it was peeled is not background either.
     deep = _dilate(behind.peeled, MARGIN_PX) & ~behind.peeled
     deep &= disparity + _highest(-behind.disparity, MARGIN_PX) > step
@@ -64,12 +67,9 @@ def split_layers(photo_grey: F32, disparity: F32, reach_px: int, settings: Synth
     share, mixed = _shares(photo_grey, near_grey, far_grey, rim & near_known & far_known, settings)
     share = np.where(rim & ~mixed, np.float32(0), share)
     share[near & ~mixed] = 1
-    share[beyond & ~rim] = 0
+    share[continued & ~rim] = 0
     _reconcile(photo_grey, near_grey, far_grey, share, rim)
     far_grey, _ = grow(far_grey, sure_far | rim, behind.peeled & ~rim, reach_px)
-    continued = beyond.copy()
-    for _ in range(MARGIN_PX):
-        continued |= _dilate(continued, 1) & ~behind.peeled & ~near
     near_px, _ = grow(disparity[..., None], near | behind.peeled, continued, MARGIN_PX + 2)
     at_mixed = _dilate(mixed, 1)
     return Layers(
