@@ -26,7 +26,7 @@ def register(app: typer.Typer) -> None:
 
 def bench(
     context: typer.Context,
-    name: Annotated[str, typer.Argument(metavar="accuracy|pareto|stress|decode", help="Which benchmark.")],
+    name: Annotated[str, typer.Argument(metavar="accuracy|pareto|stress|decode|regression", help="Which benchmark.")],
     out: Annotated[Path, typer.Option(help="Folder for the JSON, the Markdown and the plots.")] = Path("out/bench"),
     size: Annotated[
         str | None, typer.Option(metavar="crop|full", help="Of the sensor, for decode; the full one has more bounds.")
