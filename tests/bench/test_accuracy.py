@@ -173,6 +173,8 @@ def test_the_accuracy_benchmark_end_to_end(tmp_path: Path, monkeypatch: pytest.M
     ]  # fmt: skip
     assert all(np.isfinite(row["mse"]) and row["psnr_z_buffer"] > 20 for row in means)
     assert all(0 < row["ause_of_random"] < 2 for row in means)
+    assert all(row["below_shipped_db"] == pytest.approx(row["psnr_shipped"] - row["psnr"]) for row in means)
+    assert means[1]["psnr_shipped"] != means[1]["psnr_z_buffer"]
     assert means[3]["noise_grey"] > means[1]["noise_grey"] + 2
     assert document.checks == [], "the bounds hold at full size on the reporting half"
     # In proportion to the photo's width, which is a little less than that of the light-field views.
