@@ -6,7 +6,7 @@ STAMP := $(VENV)/.installed
 NATIVE := $(wildcard processing/kernels/*.cpp sim/*.cpp sim/*.hpp native/lfrig/*.hpp)
 PYTEST_ARGS ?= -n 2
 
-.PHONY: install demo pictures test lint bench wheel clean
+.PHONY: install demo pictures test lint gate bench wheel clean
 
 install: $(STAMP)
 
@@ -29,6 +29,9 @@ lint: $(STAMP)
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	PYTHONPATH=.types $(BIN)/lint-imports
+
+gate: $(STAMP)
+	$(BIN)/lfrig bench regression --check --out out/gate
 
 bench: $(STAMP)
 	$(BIN)/lfrig bench accuracy --out out/bench

@@ -4,6 +4,7 @@
 - ``pareto``    error against CPU time, ours and the peers'
 - ``decode``    what the decode of raw light fields costs and loses
 - ``stress``    what must hold, or be refused by name, on inputs that break things
+- ``regression``  figures of a small benchmark against stored bounds, for every change
 - ``peers``     other methods on the same inputs
 - ``sweep`` ``calibrate_confidence``   how settings are chosen, on the tuning half (``python -m``)
 - ``measure`` ``document`` ``plots`` ``cases``   what they share
@@ -24,6 +25,7 @@ BENCHES = {
     "pareto": "lfrig.bench.pareto",
     "stress": "lfrig.bench.stress",
     "decode": "lfrig.bench.decode",
+    "regression": "lfrig.bench.regression",
 }
 
 

@@ -13,12 +13,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
+
 from lfrig.bench import plots
+from lfrig.bench.acceptance import STATED, acceptance
 from lfrig.bench.accuracy_table import (
     SETUPS,
     SHIPPED,
     Setup,
-    acceptance,
     case_oracles,
     pose_errors,
     score_fields,
@@ -26,18 +28,9 @@ from lfrig.bench.accuracy_table import (
     tables,
 )
 from lfrig.bench.cases import FAR_DEG, FULL, NEAR_DEG, TARGET_DEG, Case, scene_names, shoot_case
+from lfrig.bench.decode_cost import decode_cost_rows, decode_cost_tables
 from lfrig.bench.document import write
-from lfrig.bench.inputs import (
-    INPUTS,
-    Input,
-    clean_rows,
-    input_checks,
-    input_rows,
-    input_tables,
-    seen_sources,
-    with_views_of,
-)
-from lfrig.bench.inputs import SETUPS as INPUT_SETUPS
+from lfrig.bench.inputs import INPUTS, TITLES, Input, seen_sources, with_views_of
 from lfrig.bench.measure import Cost, Muted, in_fresh_process
 from lfrig.bench.stages import Stage, stage_table
 from lfrig.contracts.bench import BenchDocument
@@ -63,11 +56,11 @@ class Worst:
     case: Case | None = None
     disparity: F32 | None = None
 
-    def see(self, setup: Setup, case: Case, mse: float, disparity: F32) -> None:
+    def see(self, run: Planned, case: Case, mse: float, disparity: F32) -> None:
         """Keep the case when it is worse than the worst so far."""
         if mse > self.mse:
             self.mse, self.case, self.disparity = mse, case, disparity
-            self.title = f"worst case: {case.scene}, {setup.name}, MSE {mse:.4f} px²"
+            self.title = f"worst case: {case.scene}, {run.setup.name}, {TITLES[run.kind]}, MSE {mse:.4f} px²"
 
 
 @dataclass
@@ -79,7 +72,6 @@ class Run:
     monitor: Monitor
     measure_memory: bool
     scenes: list[dict[str, Any]] = field(default_factory=list)
-    inputs: list[dict[str, Any]] = field(default_factory=list)
     worst: Worst = field(default_factory=Worst)
 
 
@@ -113,37 +105,49 @@ def run(
     noise_sigma : float
         Noise on the recorded pixels [grey levels].
     inputs : sequence of {"views", "noisy", "raw"}
-        What else the sources come as, with two sources; ``views`` is what all other rows have.
+        What the sources come as: ``views`` in all setups, the others with two sources and the turntable's prior.
+        With ``raw`` the shipped preset also sees views of equal noise, which tells what the decode costs.
     measure_memory : bool
         Run the shipped preset once more per case, in a process of its own, for time and peak memory.
     """
     chosen = [s for s in stage_table() if stages is None or s.key in {*stages, SHIPPED}]
     state = Run(chosen, threads, monitor or Monitor(), measure_memory)
     names = scene_names(half, scenes)
-    total = len(names) * (len(setups) * len(chosen) + (len(inputs) - 1) * len(INPUT_SETUPS))
-    with state.monitor.task("bench accuracy", total):
+    plan = _plan(inputs, setups, chosen)
+    with state.monitor.task("bench accuracy", len(names) * sum(len(run.stages) for run in plan)):
         for scene in names:
-            oracles: dict[str, LightFieldScore] | None = None
-            for poses in dict.fromkeys(setup.poses for setup in setups):
-                case = shoot_case(
-                    scene, size, poses=poses, noise_sigma=noise_sigma, threads=threads, cache_dir=cache_dir,
-                    monitor=Muted(state.monitor),
-                )  # fmt: skip
-                oracles = oracles or case_oracles(case, threads, Muted(state.monitor))
-                _run_scene(state, case, [setup for setup in setups if setup.poses == poses], oracles)
-            if oracles is not None and len(inputs) > 1:
-                _run_inputs(state, scene, size, [kind for kind in inputs if kind != "views"], oracles, cache_dir)
-    rows = stage_rows(state.scenes, chosen, setups)
-    from_inputs = input_rows([*state.inputs, *clean_rows(state.scenes)]) if state.inputs else []
+            _run_scene(state, scene, size, plan, noise_sigma, cache_dir)
+    rows = stage_rows(state.scenes, chosen, [(run.setup, run.kind) for run in plan])
+    decode_cost = decode_cost_rows(state.scenes)
     _draw(out, state, rows)
     bounded = half == "reporting" and scenes is None and size == FULL and noise_sigma == 0
     return write(
-        out, "accuracy", rows=[*rows, *from_inputs, *state.scenes, *state.inputs],
-        checks=[*acceptance(rows), *input_checks(from_inputs)] if bounded else [],
-        tables=[*tables(rows, state.scenes), *input_tables(from_inputs, state.inputs)],
+        out, "accuracy", rows=[*rows, *decode_cost, *state.scenes],
+        checks=acceptance(rows) if bounded else [],
+        tables=[*tables(rows, state.scenes), *decode_cost_tables(decode_cost)],
         text=_conditions(names, half, size, noise_sigma, state.scenes),
         pictures=[STAGES_PICTURE, WORST_PICTURE],
     )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Planned:
+    """One column of work on every scene."""
+
+    setup: Setup
+    kind: Input
+    stages: Sequence[Stage]
+
+
+def _plan(inputs: Sequence[Input], setups: Sequence[Setup], stages: Sequence[Stage]) -> list[Planned]:
+    """Runs in the order of the table; those that share their pixels and poses stand together, the largest first."""
+    plan = []
+    for kind in inputs:
+        if kind == "raw":
+            plan.append(Planned(STATED, "equal", [stage for stage in stages if stage.key == SHIPPED]))
+        for setup in setups if kind == "views" else [STATED]:
+            plan.append(Planned(setup, kind, stages))
+    return plan
 
 
 @dataclass
@@ -167,55 +171,54 @@ class Shared:
             self.cost = _stage_cost(result, only="evidence")
 
 
-def _run_scene(state: Run, case: Case, setups: Sequence[Setup], oracles: dict[str, LightFieldScore]) -> None:
-    """All setups of one scene and one way to poses; the largest first, since it computes the evidence for all."""
-    shared = Shared()
-    for setup in sorted(setups, key=lambda s: -s.sources):
-        part = case.with_sources(setup.sources)
-        for stage in state.stages:
-            row: dict[str, Any] = {"kind": "scene", "scene": case.scene, "setup": setup.name, "stage": stage.key}
-            evidence, extra = shared.first(setup.sources)
-            try:
-                result = process(
-                    part.sources, part.target, part.prior, _options(part, stage, state.threads),
-                    Muted(state.monitor), evidence=evidence,
-                )  # fmt: skip
-                shared.keep(result)
-                row |= _scene_row(result, case, oracles, extra, state)
-                if stage.key == SHIPPED:
-                    state.worst.see(setup, case, row["mse"], result.light_field.disparity)
-                    if state.measure_memory:
-                        row |= _measured(part, stage, state)
-            except GeometryRefused as refusal:
-                row |= {"refused": refusal.code, "message": refusal.message}
-            state.scenes.append(row)
-            state.monitor.advance()
+def _run_scene(
+    state: Run, scene: str, size: tuple[int, int], plan: Sequence[Planned], noise_sigma: float, cache_dir: Path | None
+) -> None:
+    """All of the plan on one scene. Runs with the same poses and pixels share the evidence; the one with the most
+    sources computes it.
+    """
+    oracles: dict[str, LightFieldScore] | None = None
+    for poses in dict.fromkeys(run.setup.poses for run in plan):
+        most = max(run.setup.sources for run in plan if run.setup.poses == poses)
+        clean = shoot_case(
+            scene, size, poses=poses, angles_deg=(*NEAR_DEG, *FAR_DEG)[:most], noise_sigma=noise_sigma,
+            threads=state.threads, cache_dir=cache_dir, monitor=Muted(state.monitor),
+        )  # fmt: skip
+        oracles = oracles or case_oracles(clean, state.threads, Muted(state.monitor))
+        for kind in dict.fromkeys(run.kind for run in plan if run.setup.poses == poses):
+            runs = sorted((r for r in plan if (r.setup.poses, r.kind) == (poses, kind)), key=lambda r: -r.setup.sources)
+            case = clean
+            if kind != "views":
+                seen = seen_sources(kind, scene, size, threads=state.threads, cache_dir=cache_dir)
+                case = with_views_of(clean.with_sources(len(seen)), seen)
+            shared = Shared()
+            for run in runs:
+                _run_stages(state, case, run, shared, oracles)
 
 
-def _run_inputs(
-    state: Run, scene: str, size: tuple[int, int], kinds: Sequence[Input], oracles: dict[str, LightFieldScore],
-    cache_dir: Path | None,
-) -> None:  # fmt: skip
-    """The shipped preset on one scene with noise and from raw files; the pixels are the same for all poses."""
-    shipped = next(stage for stage in state.stages if stage.key == SHIPPED)
-    clean = [
-        shoot_case(scene, size, poses=setup.poses, angles_deg=NEAR_DEG, threads=state.threads, cache_dir=cache_dir)
-        for setup in INPUT_SETUPS
-    ]
-    for kind in kinds:
-        sources = seen_sources(kind, scene, size, threads=state.threads, cache_dir=cache_dir)
-        for setup, own in zip(INPUT_SETUPS, clean, strict=True):
-            case = with_views_of(own, sources)
-            row: dict[str, Any] = {"kind": "input scene", "scene": scene, "setup": setup.name, "input": kind}
-            try:
-                result = process(
-                    case.sources, case.target, case.prior, _options(case, shipped, state.threads), Muted(state.monitor)
-                )
-                row |= _scene_row(result, case, oracles, NOTHING, state)
-            except GeometryRefused as refusal:
-                row |= {"refused": refusal.code, "message": refusal.message}
-            state.inputs.append(row)
-            state.monitor.advance()
+def _run_stages(state: Run, case: Case, run: Planned, shared: Shared, oracles: dict[str, LightFieldScore]) -> None:
+    """The rows of one scene in one setup."""
+    part = case.with_sources(run.setup.sources)
+    for stage in run.stages:
+        row: dict[str, Any] = {
+            "kind": "scene", "scene": case.scene, "setup": run.setup.name, "input": run.kind, "stage": stage.key
+        }  # fmt: skip
+        evidence, extra = shared.first(run.setup.sources)
+        try:
+            result = process(
+                part.sources, part.target, part.prior, _options(part, stage, state.threads),
+                Muted(state.monitor), evidence=evidence,
+            )  # fmt: skip
+            shared.keep(result)
+            row |= _scene_row(result, case, oracles, extra, state)
+            if stage.key == SHIPPED:
+                state.worst.see(run, case, row["mse"], result.light_field.disparity)
+                if state.measure_memory and run.kind == "views":
+                    row |= _measured(part, stage, state)
+        except GeometryRefused as refusal:
+            row |= {"refused": refusal.code, "message": refusal.message}
+        state.scenes.append(row)
+        state.monitor.advance()
 
 
 def _options(case: Case, stage: Stage, threads: int) -> ProcessOptions:
@@ -232,13 +235,16 @@ def _scene_row(
     )
     cost, confidence = _stage_cost(result), result.light_field.surface.confidence
     inner = inner_region(error_px.shape)
+    curves = sparsification(error_px[inner], confidence[inner])
     return {
         **score_fields(score),
-        "ause": sparsification(error_px[inner], confidence[inner]).ause,
+        "ause": curves.ause,
+        "ause_of_random": curves.ause_of_random,
         "ece": reliability(error_px[inner], confidence[inner]).ece,
         "wall_s": cost.wall_s + extra.wall_s,
         "cpu_s": cost.cpu_s + extra.cpu_s,
         **pose_errors(result, case),
+        "noise_grey": float(np.mean([found.source.evidence.noise_sigma for found in result.sources])),
         "warnings": [notice.code for notice in result.notices],
     }
 
@@ -269,7 +275,8 @@ def _draw(out: Path, state: Run, rows: Sequence[dict[str, Any]]) -> None:
     groups: dict[str, dict[str, float]] = {}
     for row in rows:
         if "mse" in row:
-            groups.setdefault(row["stage"], {})[row["setup"]] = row["mse"]
+            name = row["setup"] if row["input"] == "views" else f"{row['setup']}, {TITLES[row['input']]}"
+            groups.setdefault(row["stage"], {})[name] = row["mse"]
     plots.bars(out / STAGES_PICTURE, groups, title="mean disparity MSE by stage", unit="px²")
     worst = state.worst
     if worst.case is not None and worst.disparity is not None:

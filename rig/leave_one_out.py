@@ -198,9 +198,8 @@ def _with_optics(
         return Candidate(result.disparity, result.views, made, target.metric)
     disparity = request.disparity(result.inverse_depth, target.fx)
     views = render_views(
-        left_out.centre_view, fill_nan(disparity), *left_out.angular, method="z_buffer",
-        threads=options.threads, monitor=monitor,
-    )  # fmt: skip
+        left_out.centre_view, fill_nan(disparity), *left_out.angular, threads=options.threads, monitor=monitor
+    )
     return Candidate(disparity, views, request, target.metric)
 
 

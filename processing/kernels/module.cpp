@@ -9,6 +9,7 @@ void register_fusion(nb::module_ &m);
 void register_lenslet(nb::module_ &m);
 void register_plane_cost(nb::module_ &m);
 void register_sgm(nb::module_ &m);
+void register_spline(nb::module_ &m);
 void register_unpack(nb::module_ &m);
 void register_warp(nb::module_ &m);
 
@@ -20,6 +21,7 @@ NB_MODULE(_native, m) {
     register_lenslet(m);
     register_plane_cost(m);
     register_sgm(m);
+    register_spline(m);
     register_unpack(m);
     register_warp(m);
 }

@@ -30,6 +30,12 @@ class Sparsification:
     by_error: F64
     ause: float
 
+    @property
+    def ause_of_random(self) -> float:
+        """The area as a share of that of a confidence that knows nothing: 0 is perfect, 1 no better than chance."""
+        random = float(np.mean(1 - self.by_error))
+        return self.ause / random if random > 0 else 0.0
+
 
 @dataclass(frozen=True)
 class Reliability:

@@ -26,10 +26,14 @@ def register(app: typer.Typer) -> None:
 
 def bench(
     context: typer.Context,
-    name: Annotated[str, typer.Argument(metavar="accuracy|pareto|stress|decode", help="Which benchmark.")],
+    name: Annotated[str, typer.Argument(metavar="accuracy|pareto|stress|decode|regression", help="Which benchmark.")],
     out: Annotated[Path, typer.Option(help="Folder for the JSON, the Markdown and the plots.")] = Path("out/bench"),
     size: Annotated[
         str | None, typer.Option(metavar="crop|full", help="Of the sensor, for decode; the full one has more bounds.")
+    ] = None,
+    inputs: Annotated[
+        str | None,
+        typer.Option(metavar="views,noisy,raw", help="What the sources come as, for accuracy; all by default."),
     ] = None,
     check: Annotated[bool, typer.Option("--check", help="Exit 1 when a check fails.")] = False,
 ) -> None:
@@ -40,8 +44,10 @@ def bench(
     parse.one_of("bench", name, tuple(BENCHES), LATER)
     if size is not None and name != "decode":
         raise UsageError(f"--size: bench {name} has one size", remedy="leave --size out")
-    sized = {} if size is None else {"size": size}
-    document: BenchDocument = load(name).run(out, monitor=run.monitor, threads=run.threads, **sized)
+    given: dict[str, object] = {} if size is None else {"size": size}
+    if inputs is not None:
+        given["inputs"] = _inputs(name, inputs)
+    document: BenchDocument = load(name).run(out, monitor=run.monitor, threads=run.threads, **given)
     run.emit(document, lambda console: _show(document, out, console))
     failed = [item.name for item in document.checks if not item.ok]
     if check and failed:
@@ -49,6 +55,18 @@ def bench(
             raise typer.Exit(CheckFailed.exit_code)
         raise CheckFailed(f"{len(failed)} of {len(document.checks)} checks failed: {', '.join(failed)}",
                           remedy=f"see {out}/{name}.md")  # fmt: skip
+
+
+def _inputs(name: str, text: str) -> list[str]:
+    """What ``--inputs`` names, each once."""
+    from lfrig.bench.inputs import INPUTS
+
+    if name != "accuracy":
+        raise UsageError(f"--inputs: bench {name} has one kind of input", remedy="leave --inputs out")
+    found = list(dict.fromkeys(part.strip() for part in text.split(",")))
+    for part in found:
+        parse.one_of("--inputs", part, INPUTS)
+    return found
 
 
 def _show(document: BenchDocument, out: Path, console: Console) -> None:

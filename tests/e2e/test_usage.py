@@ -35,6 +35,7 @@ NOT_YET = "not in this version"
     ["capture", "S"],
     ["capture", "S", "--rig", "sim", "--angles", "0:60"],
     ["bench", "guesses"], ["bench", "pareto", "--size", "full"], ["bench", "decode", "--size", "huge"],
+    ["bench", "accuracy", "--inputs", "views,film"], ["bench", "stress", "--inputs", "raw"],
     ["decode", "x.lfr"], ["decode", "x.lfr", "--out", "y", "--views", "9"],
     ["score"],
 ])  # fmt: skip

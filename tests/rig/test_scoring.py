@@ -32,7 +32,7 @@ from tests.rig.card_scene import (
 def test_exact_geometry_scores_as_the_oracle() -> None:
     truth = capture_truth()
     disparity = truth.disparity(BASELINE_M, FOCUS_M)
-    views = render_views(truth.photo, disparity, VIEWS, VIEWS)
+    views = render_views(truth.photo, disparity, VIEWS, VIEWS, method="z_buffer")
     score, error_px = score_candidate(Candidate(disparity, views, request()), truth)
     assert score.disparity["all"].mse < 1e-12 and np.abs(error_px).max() < 1e-6
     assert score.psnr_below_z_buffer_db == pytest.approx(0, abs=1e-9)
@@ -45,7 +45,8 @@ def test_wrong_geometry_falls_below_the_oracle() -> None:
     truth = capture_truth()
     disparity = truth.disparity(BASELINE_M, FOCUS_M)
     flat = np.full_like(disparity, np.median(disparity))
-    score, error_px = score_candidate(Candidate(flat, render_views(truth.photo, flat, VIEWS, VIEWS), request()), truth)
+    views = render_views(truth.photo, flat, VIEWS, VIEWS, method="z_buffer")
+    score, error_px = score_candidate(Candidate(flat, views, request()), truth)
     assert score.psnr_below_z_buffer_db is not None and score.psnr_below_z_buffer_db > 1
     assert score.disparity["all"].mse == pytest.approx(np.mean(error_px[15:-15, 15:-15] ** 2), rel=1e-5)
     # The aligned estimate of a constant is the mean of the truth.
@@ -82,7 +83,8 @@ def test_a_noisy_photo_is_also_scored_without_its_noise() -> None:
     disparity = truth.disparity(BASELINE_M, FOCUS_M)
     rough = disparity + np.random.default_rng(0).normal(0, 0.04, disparity.shape).astype(np.float32)
     noisy = np.clip(truth.photo + np.random.default_rng(1).normal(0, 9, truth.photo.shape), 0, 255).astype(np.uint8)
-    score, _ = score_candidate(Candidate(rough, render_views(noisy, rough, VIEWS, VIEWS), request()), truth)
+    views = render_views(noisy, rough, VIEWS, VIEWS, method="z_buffer")
+    score, _ = score_candidate(Candidate(rough, views, request()), truth)
     assert score.views is not None and score.views_clean is not None
     assert score.views_clean.psnr > score.views.psnr + 3
     hidden = score.oracles["z_buffer"].psnr - score.views.psnr

@@ -7,7 +7,7 @@ from importlib.util import find_spec
 import numpy as np
 import pytest
 
-from lfrig.processing.kernels import fusion, plane_cost, sgm, warp
+from lfrig.processing.kernels import fusion, plane_cost, sgm, spline, warp
 from lfrig.processing.model import Evidence, ScaleFit
 
 pytestmark = pytest.mark.skipif(
@@ -47,6 +47,21 @@ def test_warp_refuses_wrong_shapes() -> None:
     image = np.zeros((4, 4, 3), np.uint8)
     with pytest.raises(ValueError, match="shapes"):
         warp.warp_views(image, np.zeros((1, 4, 5), np.float32), np.zeros((1, 2), np.float32))
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (7, 5), (33, 65)])
+@pytest.mark.parametrize("channels", [1, 2, 3, 4])
+def test_sample_spline(monkeypatch, shape, channels) -> None:
+    rng = np.random.default_rng(4)
+    picture = spline.spline(rng.uniform(0, 255, (*shape, channels)).astype(np.float32))
+    x = rng.uniform(-30, shape[1] + 30, (3, 5000)).astype(np.float32)
+    y = rng.uniform(-30, shape[0] + 30, (3, 5000)).astype(np.float32)
+    x[0, 0], y[1, 0], x[2, 0], y[2, 0] = np.nan, np.inf, -np.inf, 1e30
+    native, twin = both(monkeypatch, lambda: spline.sample_spline(picture, x, y))
+    assert native.shape == (3, 5000, channels) and np.isfinite(twin).all()
+    assert np.abs(native - twin).max() < 1e-3
+    monkeypatch.setenv("LFRIG_NATIVE", "1")
+    assert np.array_equal(spline.sample_spline(picture, x, y, threads=3), native)
 
 
 @pytest.mark.parametrize("shape", [(3, 3), (12, 65), (17, 130)])
