@@ -296,28 +296,26 @@ def _refine(
     threads: int,
     monitor: Monitor,
 ) -> tuple[Surface, int]:
-    """Refine the surface; also the number of pixels that were refined or changed sides."""
+    """Refine the surface; also the number of pixels that got another value after plane quantisation was taken out."""
     knobs, image = settings.refine, photo.image8
     px = request.baseline_m * camera.focal_px
-    moved = 0
+    before = inverse_depth
     if knobs.smooth:
         planes = smooth(inverse_depth, peak, image, px, knobs)
-        inverse_depth = planes.value
+        before = inverse_depth = planes.value
         if settings.wide_baseline.enabled:
             match = refine_wide(
                 planes, ready, camera, pose, image, settings.wide_baseline, threads=threads, monitor=monitor
             )
             inverse_depth = match.inverse_depth
-            moved += int(match.accepted.sum())
     if settings.edges.enabled:
-        inverse_depth, changed = decide_edges(inverse_depth, ready, camera, pose, image, px, settings.edges)
-        moved += changed
+        inverse_depth, _ = decide_edges(inverse_depth, ready, camera, pose, image, px, settings.edges)
     if knobs.snap:
         inverse_depth = snap_to_edges(inverse_depth, image, px, knobs)
     agreeing, in_view = support(inverse_depth, ready, camera, pose, knobs.support_px)
     probability, sigma_px = confidence_model.calibrate(inverse_depth * np.float32(px), peak, agreeing, in_view)
     surface = Surface(inverse_depth, probability, np.asarray(sigma_px / px, np.float32), agreeing)
-    return surface, moved
+    return surface, int((inverse_depth != before).sum())
 
 
 def _resize_surface(surface: Surface, width: int, height: int) -> Surface:
