@@ -2,6 +2,7 @@
 
 - ``accuracy``  what each step of the pipeline gains, over the simulated scenes
 - ``pareto``    error against CPU time, ours and the peers'
+- ``poses``     the pose stage against the truth, and what it makes of faults
 - ``decode``    what the decode of raw light fields costs and loses
 - ``stress``    what must hold, or be refused by name, on inputs that break things
 - ``peers``     other methods on the same inputs
@@ -24,6 +25,7 @@ BENCHES = {
     "pareto": "lfrig.bench.pareto",
     "stress": "lfrig.bench.stress",
     "decode": "lfrig.bench.decode",
+    "poses": "lfrig.bench.poses",
 }
 
 
