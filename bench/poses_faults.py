@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lfrig.bench.poses_priors import PoseCase, draw_case
-from lfrig.bench.poses_scene import PhotoShot, SceneShots, Shot
+from lfrig.bench.poses_scene import PhotoShot, SceneShots
 from lfrig.bench.poses_wall import photo_with_still_wall, wall_texture, with_still_wall
 from lfrig.processing.model import U8
 from lfrig.sim.rig import FULL_WIDTH

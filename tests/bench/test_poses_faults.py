@@ -87,7 +87,8 @@ def test_ends_are_told_apart() -> None:
     doubt = Notice("pose-doubtful", "capture 001: …")
     ends = [
         (GOOD, [], "unaffected"), (GOOD, [named], "corrected"), (GOOD, [other], "unaffected"),
-        (GOOD | {"transfer_px": 9.0}, [named, doubt], "flagged"), (GOOD | {"transfer_px": 9.0}, [named], "SILENT WRONG"), (GOOD | {"transfer_px": 9.0}, [other], "SILENT WRONG"),
+        (GOOD | {"transfer_px": 9.0}, [named, doubt], "flagged"),
+        (GOOD | {"transfer_px": 9.0}, [named], "SILENT WRONG"), (GOOD | {"transfer_px": 9.0}, [other], "SILENT WRONG"),
         (GOOD | {"depth_pct": float("nan")}, [], "SILENT WRONG"),
         (GOOD | {"rotation_deg": 1.0}, [Notice("wide-step", "capture 001: …")], "SILENT WRONG"),
     ]  # fmt: skip
