@@ -14,7 +14,7 @@ from typing import Any
 from lfrig.bench.cases import FULL
 from lfrig.bench.document import write
 from lfrig.bench.measure import Muted, stopwatch
-from lfrig.bench.poses_errors import Alignment, pose_figures, slope_error_pct
+from lfrig.bench.poses_errors import Alignment, fitted_sources, pose_figures, slope_error_pct
 from lfrig.bench.poses_faults import FAULTS, PHOTO_DEG, Fault, Subject, good_case
 from lfrig.bench.poses_gate import accepted, refused
 from lfrig.bench.poses_priors import PoseCase, draw_case, without_rig
@@ -32,7 +32,10 @@ from lfrig.bench.poses_table import (
 from lfrig.contracts.bench import BenchDocument
 from lfrig.contracts.errors import GeometryRefused
 from lfrig.contracts.progress import Monitor
+from lfrig.processing.agreement import check_agreement
 from lfrig.processing.poses import PoseMethod, solve_poses
+from lfrig.processing.sharpness import warn_of_defocus
+from lfrig.processing.still import warn_of_still_background
 
 SCENES = ("desk", "masonry", "fence", "figurines")
 """Of the reporting half, every other kind of texture: five more renders each than the other benchmarks need."""
@@ -161,11 +164,21 @@ def _solved(state: Run, case: PoseCase) -> dict[str, Any]:
 
 
 def _figures(state: Run, case: PoseCase, monitor: Monitor) -> dict[str, Any]:
+    """Pose stage, scale fit and the pipeline's checks around them; the time is that of the pose stage alone."""
+    warn_of_defocus(case.sources, monitor)
+    warn_of_still_background(case.sources, monitor)
     with stopwatch() as watch:
         solution = solve_poses(
             case.sources, case.evidence, case.target, case.prior, state.method, threads=state.threads, monitor=monitor
         )
     assert watch.cost is not None
+    ready = fitted_sources(solution, case, monitor)
+    agreement = check_agreement(ready, case.target, solution.target_camera, solution.target_pose, monitor)
     alignment = Alignment.between(solution.poses, [shot.pose for shot in case.shots])
-    slope = slope_error_pct(solution, case, alignment, monitor)
-    return pose_figures(solution, case) | {"slope_pct": slope, "cpu_s": watch.cost.cpu_s, "wall_s": watch.cost.wall_s}
+    return pose_figures(solution, case) | {
+        "slope_pct": slope_error_pct(ready, case.shots, alignment),
+        "agreement": min(agreement.of_source(k)[1] for k in range(len(ready))),
+        "photo_agreement": agreement.of_photo()[1],
+        "cpu_s": watch.cost.cpu_s,
+        "wall_s": watch.cost.wall_s,
+    }

@@ -17,7 +17,7 @@ from lfrig.bench.poses_priors import PoseCase
 from lfrig.bench.poses_scene import PhotoShot, Shot
 from lfrig.contracts.progress import Monitor
 from lfrig.processing.geometry import project_points, rotation_angle_deg, world_points
-from lfrig.processing.model import F64, Anchors, Camera, Pose
+from lfrig.processing.model import F64, Anchors, Camera, Pose, Source
 from lfrig.processing.poses import PoseSolution
 from lfrig.processing.scale_fit import DEFAULT_SCALE_FIT, fit_scale
 
@@ -105,21 +105,32 @@ def relative_rotation_error_deg(solved: Sequence[Pose], true: Sequence[Pose]) ->
     return max(errors, default=0.0)
 
 
-def slope_error_pct(solution: PoseSolution, case: PoseCase, alignment: Alignment, monitor: Monitor) -> float:
-    """Largest error of a source's fitted slope a = 1/(bF) in ``1/z = a δ + c`` [%].
+def slope_error_pct(ready: Sequence[Source], shots: Sequence[Shot], alignment: Alignment) -> float:
+    """Largest error of a source's fitted slope a = 1/(bF) in ``1/z = a δ + c`` [%]."""
+    errors = []
+    for source, shot in zip(ready, shots, strict=True):
+        assert shot.optics.baseline_m is not None
+        true = 1 / (shot.optics.baseline_m * shot.camera.focal_px)
+        errors.append(abs(100 * (source.scale.a * alignment.scale / true - 1)))
+    return max(errors, default=0.0)
+
+
+def fitted_sources(solution: PoseSolution, case: PoseCase, monitor: Monitor) -> list[Source]:
+    """The sources with their scales, as the pipeline fits them next.
 
     Raises
     ------
     GeometryRefused
         The anchors of a source carry no scale.
     """
-    errors = []
-    for source, shot, camera, anchors in zip(case.sources, case.shots, solution.cameras, solution.anchors, strict=True):
-        fit = fit_scale(source, camera, anchors, shot.evidence, DEFAULT_SCALE_FIT, monitor, metric=solution.metric)
-        assert shot.optics.baseline_m is not None
-        true = 1 / (shot.optics.baseline_m * shot.camera.focal_px)
-        errors.append(abs(100 * (fit.a * alignment.scale / true - 1)))
-    return max(errors)
+    parts = zip(case.sources, case.shots, solution.cameras, solution.poses, solution.anchors, strict=True)
+    return [
+        Source(
+            source, camera, pose, shot.evidence,
+            fit_scale(source, camera, anchors, shot.evidence, DEFAULT_SCALE_FIT, monitor, metric=solution.metric),
+        )
+        for source, shot, camera, pose, anchors in parts
+    ]  # fmt: skip
 
 
 def _focal_pct(found: Camera, true: Camera) -> float:

@@ -81,6 +81,9 @@ def _summary(kind: str, name: str, rows: Sequence[dict[str, Any]]) -> dict[str, 
             found |= {field: float(np.median(values)), f"{field}_max": float(np.max(values))}
     found |= {"anchors": min(row["anchors"] for row in solved)}
     worst = max(solved, key=lambda row: float(row["photo_rotation_deg" if kind == "photo" else "rotation_deg"]))
+    for field in ("agreement", "photo_agreement"):
+        if any(field in row for row in solved):
+            found[field] = min(row[field] for row in solved if field in row)
     return found | {"worst": f"{worst['scene']}, seed {worst['seed']}"}
 
 
@@ -162,6 +165,7 @@ def _pair(field: str, title: str, form: str) -> tuple[Column, Column]:
 
 
 ENDS = (
+    Column("agreement", "least agreement", ".2f"), Column("photo_agreement", "of the photo", ".2f"),
     *_pair("cpu_s", "CPU s", ".2f"), Column("runs", "runs"), Column("refused", "refused"),
     Column("warnings", "warnings"), Column("worst", "worst"),
 )  # fmt: skip
