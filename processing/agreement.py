@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lfrig.contracts.errors import GeometryRefused
 from lfrig.contracts.progress import Monitor
@@ -46,10 +47,12 @@ pattern that repeats, seen by two sources 35° apart), wrong one −0.05 to 0.02
 class Agreement:
     """Of source i's patches in source j, or in the photo (last column): ``share`` float64 [N, N + 1] that are found
     where they should be, and its ``advantage`` over the best of eight places aside. NaN where too few are in view.
+    ``half`` is the same for whichever half of the patches, the nearer or the farther, does worse.
     """
 
     share: F64
     advantage: F64
+    half: Agreement | None = None
 
     def of_photo(self) -> tuple[float, float]:
         """Share and advantage with the source that fits the photo best; NaN when no source has enough to tell."""
@@ -93,13 +96,13 @@ def measure_agreement(sources: Sequence[Source], photo: Photo, camera: Camera, p
     pictures = [_prepared(s.light_field.centre_view, s.camera.width) for s in sources]
     pictures.append(_prepared(photo.image8, camera.width))
     places = [*((s.camera, s.pose) for s in sources), (camera, pose)]
-    share, advantage = np.full((2, len(sources), len(sources) + 1), np.nan)
+    found = np.full((4, len(sources), len(sources) + 1), np.nan)
     for i, source in enumerate(sources):
         patches = _patches(source, pictures[i])
         for j, there in enumerate(places):
             if j != i:
-                share[i, j], advantage[i, j] = _compare(source, patches, pictures[i], there, pictures[j])
-    return Agreement(share, advantage)
+                found[:, i, j] = _compare(source, patches, pictures[i], there, pictures[j])
+    return Agreement(found[0], found[1], Agreement(found[2], found[3]))
 
 
 def check_agreement(sources: Sequence[Source], photo: Photo, camera: Camera, pose: Pose, monitor: Monitor) -> Agreement:
@@ -114,14 +117,18 @@ def check_agreement(sources: Sequence[Source], photo: Photo, camera: Camera, pos
     names = [source.light_field.id for source in sources]
     # Of two captures that contradict each other, the one that the photo contradicts too is named.
     for k in sorted(range(len(names)), key=agreement.standing):
+        who, others = f"capture {names[k]}", "any other capture"
         _judge(
-            agreement.of_source(k), f"capture {names[k]}", "any other capture", "capture-disagrees",
-            "check its angle or pose and that nothing on the plate moved, or leave it out with --sources", monitor,
+            agreement.of_source(k), who, others, monitor, code="capture-disagrees",
+            remedy="check its angle or pose and that nothing on the plate moved, or leave it out with --sources",
         )  # fmt: skip
-    _judge(
-        agreement.of_photo(), f"photo {photo.id}", "any source", "photo-disagrees",
-        "take the photo of the same scene from between the sources, and check its pose if one is recorded", monitor,
-    )  # fmt: skip
+        if agreement.half is not None:
+            _doubt(agreement.half.of_source(k), who, others, monitor, REFUSE_ADVANTAGE, REFUSE_SHARE)
+    remedy = "take the photo of the same scene from between the sources, and check its pose if one is recorded"
+    for part in (agreement, agreement.half):
+        # A wall or a floor that repeats may fit at a wrong place; what stands before it does not.
+        if part is not None:
+            _judge(part.of_photo(), f"photo {photo.id}", "any source", monitor, code="photo-disagrees", remedy=remedy)
     groups = agreement.groups()
     if len(groups) > 1:
         listed = " and ".join(", ".join(names[k] for k in group) for group in groups)
@@ -133,16 +140,28 @@ def check_agreement(sources: Sequence[Source], photo: Photo, camera: Camera, pos
     return agreement
 
 
-def _judge(found: tuple[float, float], name: str, others: str, code: str, remedy: str, monitor: Monitor) -> None:
+def _judge(found: tuple[float, float], who: str, others: str, monitor: Monitor, *, code: str, remedy: str) -> None:
+    """Refuse what is found no better than by chance, and doubt what is found hardly better."""
     share, advantage = found
-    said = f"{name}: {share:.0%} of the patches that it should share with {others} look alike where the poses put them"
     if advantage < REFUSE_ADVANTAGE and share < REFUSE_SHARE:
-        raise GeometryRefused(f"{said}, no more than anywhere else", code=code, remedy=remedy)
-    if advantage < DOUBTFUL_ADVANTAGE and share < DOUBTFUL_SHARE:
+        raise GeometryRefused(f"{_said(share, who, others)}, no more than anywhere else", code=code, remedy=remedy)
+    _doubt(found, who, others, monitor, DOUBTFUL_ADVANTAGE, DOUBTFUL_SHARE)
+
+
+def _doubt(
+    found: tuple[float, float], who: str, others: str, monitor: Monitor, least_advantage: float, enough_share: float
+) -> None:
+    share, advantage = found
+    if advantage < least_advantage and share < enough_share:
         monitor.warn(
             "pose-doubtful",
-            f"{said}, hardly more than elsewhere; check its pose (shiny or repeating things may also be the reason)",
+            f"{_said(share, who, others)}, hardly more than elsewhere; check its pose (shiny or repeating things may "
+            "also be the reason)",
         )
+
+
+def _said(share: float, who: str, others: str) -> str:
+    return f"{who}: {share:.0%} of the patches that it should share with {others} look alike where the poses put them"
 
 
 def _prepared(picture: U8, width: int) -> F32:
@@ -167,8 +186,12 @@ def _patches(source: Source, grey: F32) -> F32:
     return np.asarray(np.rint(corners) + window, np.float32)
 
 
-def _compare(source: Source, patches: F32, grey: F32, there: tuple[Camera, Pose], picture: F32) -> tuple[float, float]:
-    """Share of the patches in view of another picture that look alike there, and its advantage over places aside."""
+def _compare(
+    source: Source, patches: F32, grey: F32, there: tuple[Camera, Pose], picture: F32
+) -> tuple[float, float, float, float]:
+    """Of the patches in view of another picture: the share that look alike there and its advantage over places aside;
+    and both for the half, near or far, that does worse.
+    """
     xs, ys = patches[..., 0], patches[..., 1]
     inverse = source.scale.inverse_depth(source.evidence.disparity[ys.astype(int), xs.astype(int)])
     u, v, _ = project(*projection(source.camera, source.pose, *there), xs, ys, inverse)
@@ -176,19 +199,29 @@ def _compare(source: Source, patches: F32, grey: F32, there: tuple[Camera, Pose]
     with np.errstate(invalid="ignore"):
         inside = ((u >= 0) & (v >= 0) & (u <= width - 1) & (v <= height - 1)).all(1)
     if inside.sum() < MIN_PATCHES:
-        return float("nan"), float("nan")
+        return (float("nan"),) * 4
     here, u, v = grey[ys[inside].astype(int), xs[inside].astype(int)], u[inside], v[inside]
     turns = np.arange(8) * (np.pi / 4)
     aside = max(ASIDE_PX * width / WIDTH, MIN_ASIDE_PX) * np.c_[np.cos(turns), np.sin(turns)].astype(np.float32)
-    share, *chance = (_alike(here, picture, u + dx, v + dy) for dx, dy in [(0, 0), *aside])
-    return share, share - max(chance)
+    alike = np.stack([_alike(here, picture, u + dx, v + dy) for dx, dy in [(0, 0), *aside]])
+    depth = inverse[inside].mean(1)
+    near = depth > np.median(depth)
+    whole = _verdict(alike)
+    halves = [_verdict(alike[:, part]) for part in (near, ~near) if 2 * part.sum() >= MIN_PATCHES]
+    return *whole, *min(halves, key=lambda half: half[1], default=whole)
 
 
-def _alike(here: F32, picture: F32, u: F32, v: F32) -> float:
+def _verdict(alike: NDArray[np.bool_]) -> tuple[float, float]:
+    """Share and advantage of patches [9, N] compared in their places and in eight aside."""
+    share = alike.mean(1)
+    return float(share[0]), float(share[0] - share[1:].max())
+
+
+def _alike(here: F32, picture: F32, u: F32, v: F32) -> NDArray[np.bool_]:
     import cv2
 
     seen = cv2.remap(picture, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
-    return float((_correlation(here, seen) > ALIKE).mean())
+    return np.asarray(_correlation(here, seen) > ALIKE, np.bool_)
 
 
 def _correlation(a: F32, b: F32) -> F64:

@@ -116,6 +116,35 @@ def test_one_source_is_judged_by_the_photo_alone(sources: list[Source]) -> None:
     assert np.isnan(agreement.of_source(0)[1]) and agreement.of_photo()[1] > 0.4 and monitor.notices == []
 
 
+def of_halves(share: np.ndarray, advantage: np.ndarray) -> Agreement:
+    """Everything agrees on the whole; in one half this."""
+    return Agreement(np.full((3, 4), 0.9), np.full((3, 4), 0.6), Agreement(share, advantage))
+
+
+def test_a_background_that_fits_is_not_enough(sources: list[Source], monkeypatch: pytest.MonkeyPatch) -> None:
+    """A wall that repeats fits at a wrong place; what stands before it does not."""
+    share, advantage = np.full((3, 4), 0.8), np.full((3, 4), 0.5)
+    share[:, 3], advantage[:, 3] = 0.1, -0.02
+    monkeypatch.setattr(agreement_module, "measure_agreement", lambda *_: of_halves(share, advantage))
+    with pytest.raises(GeometryRefused, match="photo photo"):
+        check_agreement(sources, photo(), CAMERA, ASIDE, Monitor())
+    share, advantage = np.full((3, 4), 0.8), np.full((3, 4), 0.5)
+    share[2, :3] = share[:, 2] = 0.1
+    advantage[2, :3] = advantage[:, 2] = -0.02
+    monkeypatch.setattr(agreement_module, "measure_agreement", lambda *_: of_halves(share, advantage))
+    monitor = Monitor()
+    check_agreement(sources, photo(), CAMERA, ASIDE, monitor)
+    (notice,) = monitor.notices
+    assert notice.code == "pose-doubtful" and "capture 002" in notice.message
+
+
+def test_the_worse_half_counts(sources: list[Source]) -> None:
+    verdicts = measure_agreement(sources, photo(), CAMERA, ASIDE)
+    assert verdicts.half is not None
+    known = np.isfinite(verdicts.half.advantage)
+    assert known.any() and (verdicts.half.advantage[known] <= verdicts.advantage[known] + 0.1).all()
+
+
 def test_groups_that_contradict_each_other() -> None:
     share = np.full((4, 5), 0.2)
     advantage = np.zeros((4, 5))
