@@ -38,6 +38,10 @@ ASIDE_PX, MIN_ASIDE_PX = 12.0, 8.0
 directions, to see how many look alike by chance."""
 
 REFUSE_ADVANTAGE, REFUSE_SHARE = 0.03, 0.3
+HALF_ADVANTAGE = 0.0
+"""Of the worse half, near or far: a wall or a floor that repeats may fit at a wrong place; what stands before it does
+not. Not enough to refuse by: columns and glossy patterns come down to 0.01 where everything is right."""
+
 DOUBTFUL_ADVANTAGE, DOUBTFUL_SHARE = 0.08, 0.5
 """On the tuning scenes, best partner of a capture: right geometry has an advantage of 0.24 to 0.75 (0.11 for a glossy
 pattern that repeats, seen by two sources 35° apart), wrong one −0.05 to 0.02 and a share below 0.25."""
@@ -123,12 +127,14 @@ def check_agreement(sources: Sequence[Source], photo: Photo, camera: Camera, pos
             remedy="check its angle or pose and that nothing on the plate moved, or leave it out with --sources",
         )  # fmt: skip
         if agreement.half is not None:
-            _doubt(agreement.half.of_source(k), who, others, monitor, REFUSE_ADVANTAGE, REFUSE_SHARE)
-    remedy = "take the photo of the same scene from between the sources, and check its pose if one is recorded"
-    for part in (agreement, agreement.half):
-        # A wall or a floor that repeats may fit at a wrong place; what stands before it does not.
-        if part is not None:
-            _judge(part.of_photo(), f"photo {photo.id}", "any source", monitor, code="photo-disagrees", remedy=remedy)
+            _doubt(agreement.half.of_source(k), who, others, monitor, HALF_ADVANTAGE, REFUSE_SHARE)
+    who, others = f"photo {photo.id}", "any source"
+    _judge(
+        agreement.of_photo(), who, others, monitor, code="photo-disagrees",
+        remedy="take the photo of the same scene from between the sources, and check its pose if one is recorded",
+    )  # fmt: skip
+    if agreement.half is not None:
+        _doubt(agreement.half.of_photo(), who, others, monitor, HALF_ADVANTAGE, REFUSE_SHARE)
     groups = agreement.groups()
     if len(groups) > 1:
         listed = " and ".join(", ".join(names[k] for k in group) for group in groups)

@@ -126,8 +126,9 @@ def test_a_background_that_fits_is_not_enough(sources: list[Source], monkeypatch
     share, advantage = np.full((3, 4), 0.8), np.full((3, 4), 0.5)
     share[:, 3], advantage[:, 3] = 0.1, -0.02
     monkeypatch.setattr(agreement_module, "measure_agreement", lambda *_: of_halves(share, advantage))
-    with pytest.raises(GeometryRefused, match="photo photo"):
-        check_agreement(sources, photo(), CAMERA, ASIDE, Monitor())
+    monitor = Monitor()
+    check_agreement(sources, photo(), CAMERA, ASIDE, monitor)
+    assert [n.code for n in monitor.notices] == ["pose-doubtful"] and "photo photo" in monitor.notices[0].message
     share, advantage = np.full((3, 4), 0.8), np.full((3, 4), 0.5)
     share[2, :3] = share[:, 2] = 0.1
     advantage[2, :3] = advantage[:, 2] = -0.02
