@@ -118,23 +118,19 @@ def check_agreement(sources: Sequence[Source], photo: Photo, camera: Camera, pos
         A source whose patches are in no other source, or a photo that has none of any source's.
     """
     agreement = measure_agreement(sources, photo, camera, pose)
+    half = agreement.half or agreement
     names = [source.light_field.id for source in sources]
     # Of two captures that contradict each other, the one that the photo contradicts too is named.
     for k in sorted(range(len(names)), key=agreement.standing):
-        who, others = f"capture {names[k]}", "any other capture"
         _judge(
-            agreement.of_source(k), who, others, monitor, code="capture-disagrees",
+            agreement.of_source(k), half.of_source(k), f"capture {names[k]}", "any other capture", monitor,
+            code="capture-disagrees",
             remedy="check its angle or pose and that nothing on the plate moved, or leave it out with --sources",
         )  # fmt: skip
-        if agreement.half is not None:
-            _doubt(agreement.half.of_source(k), who, others, monitor, HALF_ADVANTAGE, REFUSE_SHARE)
-    who, others = f"photo {photo.id}", "any source"
     _judge(
-        agreement.of_photo(), who, others, monitor, code="photo-disagrees",
+        agreement.of_photo(), half.of_photo(), f"photo {photo.id}", "any source", monitor, code="photo-disagrees",
         remedy="take the photo of the same scene from between the sources, and check its pose if one is recorded",
     )  # fmt: skip
-    if agreement.half is not None:
-        _doubt(agreement.half.of_photo(), who, others, monitor, HALF_ADVANTAGE, REFUSE_SHARE)
     groups = agreement.groups()
     if len(groups) > 1:
         listed = " and ".join(", ".join(names[k] for k in group) for group in groups)
@@ -146,28 +142,26 @@ def check_agreement(sources: Sequence[Source], photo: Photo, camera: Camera, pos
     return agreement
 
 
-def _judge(found: tuple[float, float], who: str, others: str, monitor: Monitor, *, code: str, remedy: str) -> None:
-    """Refuse what is found no better than by chance, and doubt what is found hardly better."""
-    share, advantage = found
-    if advantage < REFUSE_ADVANTAGE and share < REFUSE_SHARE:
-        raise GeometryRefused(f"{_said(share, who, others)}, no more than anywhere else", code=code, remedy=remedy)
-    _doubt(found, who, others, monitor, DOUBTFUL_ADVANTAGE, DOUBTFUL_SHARE)
-
-
-def _doubt(
-    found: tuple[float, float], who: str, others: str, monitor: Monitor, least_advantage: float, enough_share: float
+def _judge(
+    whole: tuple[float, float],
+    half: tuple[float, float],
+    who: str,
+    others: str,
+    monitor: Monitor,
+    *,
+    code: str,
+    remedy: str,
 ) -> None:
-    share, advantage = found
-    if advantage < least_advantage and share < enough_share:
-        monitor.warn(
-            "pose-doubtful",
-            f"{_said(share, who, others)}, hardly more than elsewhere; check its pose (shiny or repeating things may "
-            "also be the reason)",
-        )
-
-
-def _said(share: float, who: str, others: str) -> str:
-    return f"{who}: {share:.0%} of the patches that it should share with {others} look alike where the poses put them"
+    """Refuse what is found no better than by chance; doubt what is found hardly better, or in one half only."""
+    share, advantage = whole
+    said = f"{who}: {share:.0%} of the patches that it should share with {others} look alike where the poses put them"
+    if advantage < REFUSE_ADVANTAGE and share < REFUSE_SHARE:
+        raise GeometryRefused(f"{said}, no more than anywhere else", code=code, remedy=remedy)
+    hint = "check its pose (shiny or repeating things may also be the reason)"
+    if advantage < DOUBTFUL_ADVANTAGE and share < DOUBTFUL_SHARE:
+        monitor.warn("pose-doubtful", f"{said}, hardly more than elsewhere; {hint}")
+    elif half[1] < HALF_ADVANTAGE and half[0] < REFUSE_SHARE:
+        monitor.warn("pose-doubtful", f"{said}, but only the near or only the far ones; {hint}")
 
 
 def _prepared(picture: U8, width: int) -> F32:
