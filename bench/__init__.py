@@ -2,6 +2,7 @@
 
 - ``accuracy``  what each step of the pipeline gains, over the simulated scenes
 - ``pareto``    error against CPU time, ours and the peers'
+- ``poses``     the pose stage against the truth, and what it makes of faults
 - ``decode``    what the decode of raw light fields costs and loses
 - ``stress``    what must hold, or be refused by name, on inputs that break things
 - ``regression``  figures of a small benchmark against stored bounds, for every change
@@ -26,6 +27,7 @@ BENCHES = {
     "stress": "lfrig.bench.stress",
     "decode": "lfrig.bench.decode",
     "regression": "lfrig.bench.regression",
+    "poses": "lfrig.bench.poses",
 }
 
 

@@ -19,6 +19,7 @@ from lfrig.contracts.native import load_native
 from lfrig.contracts.progress import Monitor, Notice
 from lfrig.contracts.result import StageReport
 from lfrig.processing import confidence as confidence_model
+from lfrig.processing.agreement import check_agreement
 from lfrig.processing.dpv import DpvSettings, auto_range, light_field_evidence
 from lfrig.processing.edges import EdgeSettings, decide_edges
 from lfrig.processing.fusion import FusionSettings, fuse, inverse_depth_range
@@ -41,7 +42,9 @@ from lfrig.processing.refine import RefineSettings, smooth, snap_to_edges
 from lfrig.processing.regularise import RegulariseSettings, regularise
 from lfrig.processing.resolution import scale_light_field, scale_photo
 from lfrig.processing.scale_fit import ScaleFitSettings, fit_scale
+from lfrig.processing.sharpness import warn_of_defocus
 from lfrig.processing.stages import StageClock
+from lfrig.processing.still import warn_of_still_background
 from lfrig.processing.synthesis import SynthesisSettings, render_views
 from lfrig.processing.visibility import support
 from lfrig.processing.wide_baseline import WideBaselineSettings, refine_wide
@@ -155,10 +158,13 @@ def process(
             note.skipped(sum(1 - e.occlusion_tested for e in evidence) * 100 / len(evidence), "% half-aperture tests")
             note.done(sum(e.occlusion_tested for e in evidence) * 100 / len(evidence))
     with clock.stage("poses", None) as note:
+        warn_of_defocus(working, monitor)
+        warn_of_still_background(working, monitor)
         solution = solve_poses(working, evidence, photo, prior, options.poses, threads=threads, monitor=monitor)
         note.done(sum(len(a) for a in solution.anchors), "anchors")
     with clock.stage("scale-fit", len(working)) as note:
         ready = _fit_sources(working, evidence, solution, settings, monitor)
+        check_agreement(ready, photo, solution.target_camera, solution.target_pose, monitor)
         note.done(sum(s.scale.anchors for s in ready), "anchors")
     request = _request(options, ready, solution)
     camera, pose = solution.target_camera, solution.target_pose

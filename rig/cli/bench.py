@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from lfrig.contracts.bench import BenchDocument
 
+WITH_SCENES = ("accuracy", "poses")
 LATER = ("skip", "kernels", "rig", "models", "ablation")
 
 
@@ -26,7 +27,9 @@ def register(app: typer.Typer) -> None:
 
 def bench(
     context: typer.Context,
-    name: Annotated[str, typer.Argument(metavar="accuracy|pareto|stress|decode|regression", help="Which benchmark.")],
+    name: Annotated[
+        str, typer.Argument(metavar="accuracy|pareto|stress|decode|poses|regression", help="Which benchmark.")
+    ],
     out: Annotated[Path, typer.Option(help="Folder for the JSON, the Markdown and the plots.")] = Path("out/bench"),
     size: Annotated[
         str | None, typer.Option(metavar="crop|full", help="Of the sensor, for decode; the full one has more bounds.")
@@ -34,6 +37,10 @@ def bench(
     inputs: Annotated[
         str | None,
         typer.Option(metavar="views,noisy,raw", help="What the sources come as, for accuracy; all by default."),
+    ] = None,
+    scenes: Annotated[
+        str | None,
+        typer.Option(metavar="NAME,NAME", help="Other scenes, for accuracy and poses; bounds are not checked."),
     ] = None,
     check: Annotated[bool, typer.Option("--check", help="Exit 1 when a check fails.")] = False,
 ) -> None:
@@ -44,9 +51,13 @@ def bench(
     parse.one_of("bench", name, tuple(BENCHES), LATER)
     if size is not None and name != "decode":
         raise UsageError(f"--size: bench {name} has one size", remedy="leave --size out")
+    if scenes is not None and name not in WITH_SCENES:
+        raise UsageError(f"--scenes: bench {name} has its own", remedy="leave --scenes out")
     given: dict[str, object] = {} if size is None else {"size": size}
     if inputs is not None:
         given["inputs"] = _inputs(name, inputs)
+    if scenes is not None:
+        given["scenes"] = _scene_names(scenes)
     document: BenchDocument = load(name).run(out, monitor=run.monitor, threads=run.threads, **given)
     run.emit(document, lambda console: _show(document, out, console))
     failed = [item.name for item in document.checks if not item.ok]
@@ -67,6 +78,18 @@ def _inputs(name: str, text: str) -> list[str]:
     for part in found:
         parse.one_of("--inputs", part, INPUTS)
     return found
+
+
+def _scene_names(said: str) -> list[str]:
+    """The scenes of a comma-separated list; an unknown one is refused before anything is rendered."""
+    from lfrig.sim.scenes import check_scene_name
+
+    names = [name.strip() for name in said.split(",") if name.strip()]
+    if not names:
+        raise UsageError("--scenes names no scene", remedy="give names of the library, such as --scenes desk,fence")
+    for name in names:
+        check_scene_name(name)
+    return names
 
 
 def _show(document: BenchDocument, out: Path, console: Console) -> None:
