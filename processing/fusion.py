@@ -44,7 +44,7 @@ class FusionSettings:
     surface_cap: float = 10.0
     colour: bool = True
     """Compare the photo's colours with the sources' at every voxel (log pool only)."""
-    colour_weight: float = 1.0
+    colour_weight: float = 1.75
     colour_sigma_grey: float = 10.0
     colour_cap: float = 3.0
     colour_unknown: float = 1.0

@@ -8,7 +8,8 @@ views B_v at offsets (r, c) and the gradient (gx, gy) of the centre view,
     B_v − B_0 = δ (c·gx + r·gy),   so   δ = (gx Σ c B_v + gy Σ r B_v) / (gx² Σ c² + gy² Σ r²),
 
 two weighted sums of the views (Adelson & Wang, PAMI 1992). Errors of even order cancel between opposite views. It
-holds away from edges only, where no occlusion mixes into the blur.
+holds away from edges only, where no occlusion mixes into the blur, and where the shading is straight over the distance
+that the views move: both are tested, the second by how well all views fit.
 """
 
 from __future__ import annotations
@@ -39,6 +40,10 @@ class PlainSettings:
     """How much higher that limit is per grey level of noise."""
     noise_grey: float = 0.05
     """Standard deviation of the blurred views on clean views: what rounding leaves."""
+    reach: float = 1.0
+    """Shift between the outermost views and the centre, in blurs, up to which shading counts as straight."""
+    misfit: float = 1.0
+    """Up to this multiple of the noise variance, views may differ from the constraint."""
     cap_grey: float = 0.7
     """The most that a plane is charged [grey levels of matching cost]."""
     gain: float = 0.5
@@ -84,10 +89,12 @@ def find_plain_areas(
     gx = cv2.Sobel(blurred, cv2.CV_32F, 1, 0, scale=0.125)
     gy = cv2.Sobel(blurred, cv2.CV_32F, 0, 1, scale=0.125)
     by_row, by_column = np.zeros_like(own), np.zeros_like(own)
+    power = np.zeros_like(_half(own))
     for (dr, dc), view in zip(offsets, grey, strict=True):
         difference: F32 = np.asarray(view / np.float32(64) - own, np.float32)
         by_row += np.float32(dr) * difference
         by_column += np.float32(dc) * difference
+        power += _blur(_half(difference), blur / 2) ** 2
     by_row, by_column = _blur(by_row, blur), _blur(by_column, blur)
     rows, columns = (float((offsets[:, i] ** 2).sum()) for i in (0, 1))
     cross = float((offsets[:, 0] * offsets[:, 1]).sum())
@@ -96,7 +103,12 @@ def find_plain_areas(
     disparity: F32 = np.asarray(numerator / np.maximum(denominator, np.float32(1e-9)), np.float32)
     sigma2 = settings.noise_grey**2 + (NOISE_THROUGH_BLUR * 2 / blur * noise) ** 2
     precision: F32 = np.asarray(denominator * np.float32(settings.gain / sigma2), np.float32)
-    return PlainAreas(disparity, precision, _plainness(own, noise, settings))
+    total = cv2.resize(_blur(power, window / 2), own.shape[::-1], interpolation=cv2.INTER_LINEAR)
+    left: F32 = np.asarray((total - disparity**2 * denominator) / np.float32(len(grey)), np.float32)
+    fits = np.clip(2 - left / np.float32(2 * settings.misfit * sigma2), 0, 1)
+    shift = np.abs(disparity) * np.float32(np.abs(offsets).max() / (settings.reach * blur))
+    fits *= np.clip(2 - shift, 0, 1)
+    return PlainAreas(disparity, precision, np.asarray(fits * _plainness(own, noise, settings), np.float32))
 
 
 def blend_plain_cost(
@@ -127,6 +139,14 @@ def _plainness(own: F32, noise: float, settings: PlainSettings) -> F32:
     steepest = cv2.dilate(np.hypot(gx, gy), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)))
     threshold = settings.edge_grey + settings.edge_per_noise * noise
     return np.asarray(np.clip(2 - steepest / np.float32(threshold), 0, 1), np.float32)
+
+
+def _half(image: F32) -> F32:
+    """At half size, each pixel the mean of four."""
+    import cv2
+
+    size = max(1, image.shape[1] // 2), max(1, image.shape[0] // 2)
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.float32)
 
 
 def _blur(image: F32, sigma: float) -> F32:

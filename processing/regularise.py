@@ -22,8 +22,8 @@ class RegulariseSettings:
     """``window`` (±window planes around the peak) or ``soft-argmax`` (all planes, as printed in the paper)."""
     window: int = 3
     cap: float = 20.0
-    p1: float = 3.0
-    p2: float = 50.0
+    p1: float = 4.0
+    p2: float = 80.0
     edge_grey: float = 30.0
     sharpness: float = 2.0
     """Log evidence per unit of the paths' mean."""
