@@ -64,6 +64,8 @@ def with_view(coarse: Structure, joint: Arrangement) -> Structure:
         x[joint.turns.start + v] = coarse.parameters[old.turns.start + v]
         x[joint.wobble(v)] = coarse.parameters[old.wobble(v)]
         x[joint.log_focals.start + v] = coarse.parameters[old.log_focals.start + v]
+    lines = coarse.parameters[old.log_lines]
+    x[joint.log_lines][: len(lines)] = lines
     return replace(coarse, arrangement=joint, parameters=x)
 
 

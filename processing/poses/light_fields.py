@@ -1,0 +1,281 @@
+"""Poses by the light fields' own depth: corners warped into the neighbours, then one adjustment with disparities.
+
+Two passes. In the first the strongest corners are followed into the neighbours only, by optical flow in the warped
+picture, and what the priors got wrong is solved for; in the second all corners go into every view within reach, and
+land within a pixel of where they are predicted. Each capture's scale (1/z = a δ + c) comes out with the poses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lfrig.contracts.progress import Monitor
+from lfrig.processing.geometry import rotation_angle_deg
+from lfrig.processing.model import F32, F64, Evidence, LightField, Photo, Pose
+from lfrig.processing.poses.adjust import Disparity, Reprojection, ResidualBlock, adjust
+from lfrig.processing.poses.arrangement import Arrangement, Line
+from lfrig.processing.poses.corners import grey_of, light_field_corners
+from lfrig.processing.poses.patches import normalised
+from lfrig.processing.poses.priors import PAIR_LIMIT_DEG, known_camera
+from lfrig.processing.poses.structure import FINE_TOLERANCE, ROUGH_TOLERANCE, Structure, gate_sightings, noise_of
+from lfrig.processing.poses.tracks import Observations, Pair
+from lfrig.processing.poses.triangulate import reproject, triangulate
+from lfrig.processing.poses.warp_lk import Picture, Relief, Station, Warp, follow
+
+FLOW_CORNERS = 250
+MAX_FLOW_STEP_DEG = 31.0
+SMOOTH_SIGMA_PX = 1.5
+DISPARITY_SIGMA_PX = 0.012
+REJECT_DISPARITY = 5.0
+OPTICS_FLOOR = 0.005
+ENOUGH_POINTS = 15
+MAX_PASSES = 4
+ENOUGH_GAIN = 1.03
+LOST_FRACTION = 0.15
+
+FLOW_SCHEDULE = ((16.0, 0.06), (4.0, 0.06), (1.2, 0.02), (0.4, 0.012))
+ALIGN_SCHEDULE = ((0.5, 0.012),)
+"""Noise levels [px] and [px of disparity], falling, before the residuals say what the noise is."""
+
+
+@dataclass(frozen=True)
+class Looks:
+    """What matching needs of every view: ``pictures`` of all, the photo's last, and ``reliefs`` of the sources."""
+
+    pictures: tuple[Picture, ...]
+    reliefs: tuple[Relief, ...]
+
+
+def look_at(sources: Sequence[LightField], evidence: Sequence[Evidence], target: Photo, monitor: Monitor) -> Looks:
+    """Prepare all pictures, corners and disparities."""
+    pictures, reliefs = [], []
+    for source, seen in zip(sources, evidence, strict=True):
+        pictures.append(_picture(source.centre_view))
+        reliefs.append(Relief(light_field_corners(source, seen), smoothed(seen.disparity)))
+        monitor.advance()
+    return Looks((*pictures, _picture(target.image8)), tuple(reliefs))
+
+
+def _picture(image: np.ndarray) -> Picture:
+    grey = grey_of(image)
+    return Picture(grey, normalised(grey))
+
+
+def smoothed(disparity: F32) -> F32:
+    """The depth map as a surface to warp by: without specks, float32 [H, W]."""
+    import cv2
+
+    filled = np.where(np.isfinite(disparity), disparity, np.nanmedian(disparity)).astype(np.float32)
+    return np.asarray(cv2.GaussianBlur(cv2.medianBlur(filled, 5), (0, 0), SMOOTH_SIGMA_PX))
+
+
+def recorded_line(source: LightField, captures: int) -> Line | None:
+    """Line of a capture by its recorded optics; None where they are not recorded.
+
+    All captures are off by the same calibration, while the adjustment takes their errors as independent: the sigma is
+    widened so that 2 values of each capture *together* say no more of the metric scale than one of them does. What
+    ties captures to each other is measured, and needs no prior.
+    """
+    baseline, focus = source.optics.baseline_m, source.optics.focus_distance_m
+    if baseline is None or focus is None:
+        return None
+    sigma = max(OPTICS_FLOOR, source.optics.sigma_baseline)
+    return Line(baseline, 1 / focus, sigma * float(np.sqrt(2 * captures)))
+
+
+def with_lines(arrangement: Arrangement, lines: Sequence[Line | None]) -> Arrangement:
+    """The arrangement whose first views have these lines."""
+    views = list(arrangement.views)
+    for v, line in enumerate(lines):
+        views[v] = replace(views[v], line=line)
+    return replace(arrangement, views=tuple(views))
+
+
+@dataclass(frozen=True)
+class Followed:
+    """Sightings, and for every (light field, other view) how many corners were found there, of how many tried."""
+
+    seen: Observations
+    found: dict[Pair, int]
+    tried: dict[Pair, int]
+
+    def fraction(self, pair: Pair) -> float:
+        """Share of the corners found."""
+        return self.found[pair] / max(self.tried[pair], 1)
+
+
+def follow_all(
+    looks: Looks,
+    arrangement: Arrangement,
+    x: F64,
+    pairs: Sequence[Pair],
+    depth_range_m: tuple[float, float],
+    *,
+    flow: Collection[Pair] = (),
+    limit: int | None = None,
+) -> Followed:
+    """Follow the corners of the first view of each (directed) pair into the second; with ``flow`` where the prediction
+    may be poor. ``limit`` takes the strongest corners only.
+    """
+    cameras, poses, lines = arrangement.cameras(x), arrangement.poses(x), arrangement.lines(x)
+    stations = [Station(c, p) for c, p in zip(cameras, poses, strict=True)]
+    limits = 1 / depth_range_m[1], 1 / depth_range_m[0]
+    tables, found, tried = [], {}, {}
+    for j, relief in enumerate(looks.reliefs):
+        line = lines[j]
+        others = [i for k, i in pairs if k == j]
+        if line is None or not others:
+            continue
+        if limit is not None:
+            relief = relief.first(limit)
+        places = np.full((len(relief.corners), len(poses), 2), np.nan)
+        places[:, j] = relief.corners.xy
+        for i in others:
+            warp = Warp(relief, line.scale(cameras[j]), stations[j], stations[i], limits)
+            places[:, i] = follow(warp, looks.pictures[j], looks.pictures[i], flow=(j, i) in flow)
+            found[j, i] = int(np.isfinite(places[:, i, 0]).sum())
+            tried[j, i] = len(relief.corners)
+        tables.append((j, places, relief.corners.disparity))
+    return Followed(_observations(tables), found, tried)
+
+
+def _observations(tables: Sequence[tuple[int, F64, F64]]) -> Observations:
+    """Sightings of corners that were found anywhere, from places [N, V, 2] (NaN = not) and disparities [N] by view."""
+    parts, first = [], 0
+    for own, places, disparity in tables:
+        seen = np.isfinite(places[:, :, 0])
+        rows = np.flatnonzero(seen.sum(1) > 1)
+        row, view = np.nonzero(seen[rows])
+        told = np.where(view == own, disparity[rows[row]], np.nan)
+        feature = np.where(view == own, rows[row], -1)
+        parts.append((first + row, view, feature, places[rows[row], view], told))
+        first += len(rows)
+    if not parts:
+        none = np.zeros(0, np.int64)
+        return Observations(none, none, none, np.zeros((0, 2)), np.zeros(0), np.zeros(0))
+    point, view, feature, xy, told = (np.concatenate(p) for p in zip(*parts, strict=True))
+    return Observations(point, view, feature, xy, np.ones(len(point)), told)
+
+
+def adjust_light_fields(
+    arrangement: Arrangement,
+    start: F64,
+    seen: Observations,
+    depth_range_m: tuple[float, float],
+    schedule: Sequence[tuple[float, float]],
+    monitor: Monitor,
+) -> Structure:
+    """Triangulate, and adjust by reprojection and disparity with falling noise levels; at last by the noise found."""
+    x, covariance, noise = start, np.zeros((arrangement.size, arrangement.size)), schedule[0][0]
+    points = triangulate(arrangement.cameras(x), arrangement.poses(x), seen)
+    for level in (*schedule, None):
+        cameras, poses = arrangement.cameras(x), arrangement.poses(x)
+        if level is None:
+            noise, sigma = noise_of(reproject(cameras, poses, seen, points)[0], seen), DISPARITY_SIGMA_PX
+        else:
+            noise, sigma = level
+        good = gate_sightings(cameras, poses, seen, points, noise, depth_range_m)
+        good &= ~_contradicted(arrangement, x, seen, points, REJECT_DISPARITY * sigma)[seen.point]
+        seen, kept = seen.keep(good)
+        points = points[kept]
+        if seen.count < ENOUGH_POINTS:
+            break
+        blocks: list[ResidualBlock] = [Reprojection(seen, np.full(len(seen), noise))]
+        told = _told(seen)
+        blocks.append(Disparity(seen.point[told], seen.view[told], _disparity(seen)[told], np.full(len(told), sigma)))
+        tolerance = FINE_TOLERANCE if level is None else ROUGH_TOLERANCE
+        result = adjust(arrangement, x, points, blocks, tolerance=tolerance)
+        x, points, covariance = result.parameters, result.points, result.covariance
+        monitor.advance(0)
+    return Structure(arrangement, x, seen, points, noise, covariance)
+
+
+def _disparity(seen: Observations) -> F64:
+    return np.full(len(seen), np.nan) if seen.disparity is None else seen.disparity
+
+
+def _told(seen: Observations) -> np.ndarray:
+    return np.flatnonzero(np.isfinite(_disparity(seen)))
+
+
+def disparity_residual(arrangement: Arrangement, x: F64, seen: Observations, points: F64) -> F64:
+    """Expected minus found disparity of every sighting [M] px, NaN where none was found."""
+    out = np.full(len(seen), np.nan)
+    told = _told(seen)
+    block = Disparity(seen.point[told], seen.view[told], _disparity(seen)[told], np.ones(len(told)))
+    cameras, poses = arrangement.cameras(x), arrangement.poses(x)
+    out[told] = block.linearise(cameras, poses, points, arrangement.lines(x)).residual[:, 0]
+    return out
+
+
+def _contradicted(arrangement: Arrangement, x: F64, seen: Observations, points: F64, limit_px: float) -> np.ndarray:
+    """Which points [count] lie where their own light field says otherwise."""
+    wrong = np.zeros(seen.count, bool)
+    residual = disparity_residual(arrangement, x, seen, points)
+    wrong[seen.point[np.abs(residual) > limit_px]] = True
+    return wrong
+
+
+def directed_pairs(poses: Sequence[Pose], sources: int, limit_deg: float) -> list[Pair]:
+    """(light field, other view) up to an angle apart."""
+    return [
+        (j, i)
+        for j in range(sources)
+        for i in range(len(poses))
+        if i != j and rotation_angle_deg(poses[i].rotation, poses[j].rotation) <= limit_deg
+    ]
+
+
+def widest_link_deg(poses: Sequence[Pose]) -> float:
+    """The widest step of the chain that joins all views by their smallest steps (minimum spanning tree)."""
+    joined, rest, widest = {0}, set(range(1, len(poses))), 0.0
+    while rest:
+        angle, nearest = min(
+            (rotation_angle_deg(poses[a].rotation, poses[b].rotation), b) for a in joined for b in sorted(rest)
+        )
+        widest = max(widest, angle)
+        joined.add(nearest)
+        rest.discard(nearest)
+    return widest
+
+
+def first_pass(
+    looks: Looks, arrangement: Arrangement, depth_range_m: tuple[float, float], monitor: Monitor
+) -> Structure | None:
+    """Follow by flow into the neighbours and solve; None where steps are too wide for it, or optics unknown."""
+    x = np.zeros(arrangement.size)
+    poses = arrangement.poses(x)
+    widest = widest_link_deg(poses)
+    if widest > MAX_FLOW_STEP_DEG or any(arrangement.views[v].line is None for v in range(len(looks.reliefs))):
+        return None
+    pairs = directed_pairs(poses, len(looks.reliefs), 1.05 * widest)
+    followed = follow_all(looks, arrangement, x, pairs, depth_range_m, flow=pairs, limit=FLOW_CORNERS)
+    if followed.seen.count < ENOUGH_POINTS:
+        return None
+    return adjust_light_fields(arrangement, x, followed.seen, depth_range_m, FLOW_SCHEDULE, monitor)
+
+
+def second_pass(
+    looks: Looks, rough: Structure, depth_range_m: tuple[float, float], monitor: Monitor
+) -> tuple[Structure, Followed]:
+    """Align all corners in every view within reach of a rough solution, and solve again; until no more are found.
+
+    Pairs in which hardly any are found are followed by flow once more: the first pass need not have seen them.
+    """
+    pairs = directed_pairs(rough.poses, len(looks.reliefs), PAIR_LIMIT_DEG)
+    solved, lost, before = rough, set(), 0
+    for _ in range(MAX_PASSES):
+        followed = follow_all(looks, solved.arrangement, solved.parameters, pairs, depth_range_m, flow=lost)
+        solved = adjust_light_fields(
+            solved.arrangement, solved.parameters, followed.seen, depth_range_m, ALIGN_SCHEDULE, monitor
+        )
+        total = sum(followed.found.values())
+        if not lost and total < ENOUGH_GAIN * before:
+            break
+        lost = set() if lost else {p for p in followed.found if followed.fraction(p) < LOST_FRACTION}
+        if not lost and before == 0 and rough.noise_px < 0.15: break
+        before = total
+    return solved, followed
