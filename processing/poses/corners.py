@@ -14,11 +14,11 @@ import numpy as np
 from lfrig.processing.model import F32, F64, U8, Evidence, LightField
 from lfrig.processing.poses.patches import Patches, cut, normalised
 
-MAX_CORNERS = 500
-QUALITY = 0.004
+MAX_CORNERS = 800
+QUALITY = 0.002
 """Weakest corner accepted, as a fraction of the strongest one's smaller eigenvalue (Shi & Tomasi 1994)."""
 
-SPACING_PX = 6
+SPACING_PX = 5
 BLOCK_PX = 5
 
 DISPARITY_HALF_PX = 4

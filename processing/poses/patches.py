@@ -17,7 +17,9 @@ WINDOW_SIGMA = 0.6
 """Width of a patch's Gaussian weight, as a fraction of its half width."""
 
 ALIGN_HALF_PX = 6
-ALIGN_PASSES = 5
+SHIFT_PASSES = 2
+SLANT_PASSES = 3
+SLANT_RIDGE = 0.01
 MAX_STEP_PX = 1.5
 NORMALISE_SIGMA_PX = 6.0
 
@@ -91,8 +93,14 @@ def normalised(grey: F32) -> NDArray[np.uint8]:
     return np.clip((grey - mean) / np.sqrt(variance + 9) * 48 + 128, 0, 255).astype(np.uint8)
 
 
-def align(first: F32, second: F32, first_xy: F64, second_xy: F64, affine: F64) -> tuple[F64, F32]:
+def align(
+    first: F32, second: F32, first_xy: F64, second_xy: F64, affine: F64, along: F64
+) -> tuple[F64, F32]:
     """Move points of the second image so that the patches around them look like those of the first.
+
+    Two unknowns at first, the shift; then also the slant of the surface, which stretches a patch along its epipolar
+    line: a slant taken from a light field's depth, whose baseline is a hundred times shorter, is too rough for the
+    second decimal.
 
     Parameters
     ----------
@@ -102,6 +110,8 @@ def align(first: F32, second: F32, first_xy: F64, second_xy: F64, affine: F64) -
         Points, and where to start.
     affine : float64 [N, 2, 2]
         Derivative of second by first pixel coordinates.
+    along : float64 [N, 2]
+        Direction in which a point moves with its depth, unit vectors.
 
     Returns
     -------
@@ -110,24 +120,33 @@ def align(first: F32, second: F32, first_xy: F64, second_xy: F64, affine: F64) -
     """
     dx, dy, weight = window(ALIGN_HALF_PX)
     reference = _standard(sample(first, first_xy[:, :1] + dx, first_xy[:, 1:] + dy), weight)[0]
-    x = affine[:, 0, 0, None] * dx + affine[:, 0, 1, None] * dy
-    y = affine[:, 1, 0, None] * dx + affine[:, 1, 1, None] * dy
     slope = slopes(second)
-    xy = second_xy.copy()
-    for passes_left in reversed(range(ALIGN_PASSES)):
-        u, v = (xy[:, :1] + x).astype(np.float32), (xy[:, 1:] + y).astype(np.float32)
+    xy, stretch = second_xy.copy(), np.zeros((len(first_xy), 2))
+    for done in range(SHIFT_PASSES + SLANT_PASSES + 1):
+        full = affine + along[:, :, None] * stretch[:, None, :]
+        u = (xy[:, :1] + full[:, 0, :1] * dx + full[:, 0, 1:] * dy).astype(np.float32)
+        v = (xy[:, 1:] + full[:, 1, :1] * dx + full[:, 1, 1:] * dy).astype(np.float32)
         there, contrast = _standard(sample(second, u, v), weight)
-        if not passes_left:
+        if done == SHIFT_PASSES + SLANT_PASSES:
             break
-        gx, gy = (_centred(sample(s, u, v) / contrast, weight) for s in slope)
-        error = there - reference
-        xx, xy_, yy = (np.einsum("nk,nk,k->n", a, b, weight) for a, b in ((gx, gx), (gx, gy), (gy, gy)))
-        rx, ry = (np.einsum("nk,nk,k->n", g, error, weight) for g in (gx, gy))
-        xx, yy = xx + 1e-6, yy + 1e-6
-        determinant = xx * yy - xy_ * xy_ + 1e-9
-        step = np.stack([-(yy * rx - xy_ * ry), -(xx * ry - xy_ * rx)], 1) / determinant[:, None]
-        length = np.linalg.norm(step, axis=1, keepdims=True)
-        xy += step * np.minimum(1, MAX_STEP_PX / np.maximum(length, 1e-6))
+        gx, gy = (sample(s, u, v) / contrast for s in slope)
+        columns = [gx, gy]
+        if done >= SHIFT_PASSES:
+            moving = gx * along[:, :1].astype(np.float32) + gy * along[:, 1:].astype(np.float32)
+            columns += [moving * dx, moving * dy]
+        jacobian = np.stack([_centred(c, weight) for c in columns], 1)
+        weighted = jacobian * weight
+        normal = (weighted @ jacobian.transpose(0, 2, 1)).astype(np.float64)
+        normal += np.diag([1e-6, 1e-6, SLANT_RIDGE, SLANT_RIDGE][: len(columns)])
+        right = np.einsum("nak,nk->na", weighted, there - reference).astype(np.float64)
+        if done >= SHIFT_PASSES:
+            right[:, 2:] += SLANT_RIDGE * stretch
+        step = -np.linalg.solve(normal, right[..., None])[..., 0]
+        length = np.linalg.norm(step[:, :2], axis=1, keepdims=True)
+        step *= np.minimum(1, MAX_STEP_PX / np.maximum(length, 1e-6))
+        xy += step[:, :2]
+        if done >= SHIFT_PASSES:
+            stretch += step[:, 2:]
     return xy, np.asarray(np.einsum("nk,nk,k->n", there, reference, weight), np.float32)
 
 

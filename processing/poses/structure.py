@@ -21,7 +21,7 @@ FINE_SCALE_PX = 2.0
 """Up to this keypoint scale SIFT's position error is constant; beyond, it grows in proportion (measured)."""
 
 COARSE_SCHEDULE_PX = (16.0, 4.0, 1.0)
-NOISE_BOUNDS_PX = (0.08, 1.0)
+NOISE_BOUNDS_PX = (0.04, 1.0)
 REJECT_SIGMAS = 4.0
 MIN_RAY_ANGLE_DEG = 2.0
 BAND_SIGMAS = 8.0

@@ -84,8 +84,9 @@ class Warp:
         v = (matrix[1, 0] * x + matrix[1, 1] * y + matrix[1, 2] + offset[1] * inverse) / z
         return u, v
 
-    def points(self, xy: F64, disparity: F64) -> tuple[F64, F64]:
-        """Where points [N, 2] go, and the derivative of that by xy [N, 2, 2] on the smooth surface.
+    def points(self, xy: F64, disparity: F64) -> tuple[F64, F64, F64]:
+        """Where points [N, 2] go, the derivative of that by xy [N, 2, 2] on the smooth surface, and the direction in
+        which they go with inverse depth, unit vectors [N, 2].
 
         A point's own ``disparity`` [N] counts where it is finite, else the surface's.
         """
@@ -104,8 +105,10 @@ class Warp:
         # dp/dx = column of the matrix + offset · dw/dx, then the quotient rule.
         dp = matrix[None, :, :2] + offset[None, :, None] * slope[:, None, :]
         affine = (dp[:, :2] - there[:, :, None] * dp[:, 2:]) / z[:, None, None]
+        along = (offset[:2] - there * offset[2]) / z[:, None]
+        along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
         there[p[:, 2] <= 0] = np.nan
-        return there, affine
+        return there, affine, along
 
     def _projection(self) -> tuple[F64, F64]:
         return projection(self.here.camera, self.here.pose, self.there.camera, self.there.pose)
@@ -120,19 +123,19 @@ def follow(warp: Warp, here: Picture, there: Picture, *, flow: bool) -> F64:
     found = np.full((len(corners), 2), np.nan)
     if not len(corners):
         return found
-    start, affine = warp.points(corners.xy, corners.disparity)
+    start, affine, along = warp.points(corners.xy, corners.disparity)
     good = np.isfinite(start).all(1)
     if flow:
         moved, kept = _flowed(warp, here, there, corners.xy)
         height, width = here.grey.shape
         moved = np.clip(moved, 3, [width - 4, height - 4])
         # Where the flow says that the corner went in the warped picture, and from there on into the true one.
-        shifted, affine = warp.points(moved, np.full(len(moved), np.nan))
+        shifted, affine, along = warp.points(moved, np.full(len(moved), np.nan))
         start, good = shifted, kept & np.isfinite(shifted).all(1)
     good &= _usable(start, affine, there.grey.shape)
     rows = np.flatnonzero(good)
     if len(rows):
-        xy, likeness = align(here.grey, there.grey, corners.xy[rows], start[rows], affine[rows])
+        xy, likeness = align(here.grey, there.grey, corners.xy[rows], start[rows], affine[rows], along[rows])
         near = np.linalg.norm(xy - start[rows], axis=1) < MAX_SHIFT_PX
         keep = near & (likeness > MIN_CORRELATION)
         found[rows[keep]] = xy[keep]
