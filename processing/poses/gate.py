@@ -27,6 +27,10 @@ GOOD_ANCHORS = 60
 WIDE_STEP_DEG = 25.0
 ANGLE_SIGMAS = 4.0
 FOCAL_SIGMAS = 4.0
+FOUND_SHARE = 0.4
+MIN_FOUND = 0.12
+"""A view in whose best pair fewer corners are found than this fraction of the usual, or of all, is not where it seems."""
+
 MIN_PHOTO_MATCHES = 12
 MIN_VIEW_MATCHES = 15
 MIN_AGREEMENT = 0.2
@@ -146,6 +150,31 @@ def warn_of_doubtful_poses(
                 f"capture {name}: only {agreement.best[v]:.0%} of its matches with any other capture fit its pose; "
                 "check it (texture that repeats may also be the reason)",
             )
+
+
+def doubts(structure: Structure, fractions: Mapping[Pair, float], sigma_deg: float | None) -> list[int]:
+    """Views of a light-field-aware solution that are not to be trusted: few points, angles or focal lengths far from
+    what was recorded, or corners that are not found where they should be.
+
+    Wrong geometry finds 6 % of the corners where neighbours find 40 %; residuals do not tell the two apart. With
+    ``sigma_deg`` None, angles and focal lengths are not judged.
+    """
+    arrangement, x = structure.arrangement, structure.parameters
+    count = np.bincount(structure.seen.view, minlength=len(arrangement.views))
+    best = np.zeros(len(arrangement.views))
+    for pair, fraction in fractions.items():
+        for v in pair:
+            best[v] = max(best[v], fraction)
+    found = []
+    for v, view in enumerate(arrangement.views):
+        wrong = bool(count[v] < GOOD_ANCHORS or best[v] < FOUND_SHARE * np.median(best) or best[v] < MIN_FOUND)
+        if sigma_deg is not None:
+            turn, focal = x[arrangement.turns][v], x[arrangement.log_focals][v]
+            wrong |= bool(abs(turn) > ANGLE_SIGMAS * np.deg2rad(view.sigma_angle_deg) and view.sigma_angle_deg > 0)
+            wrong |= bool(abs(focal) > FOCAL_SIGMAS * view.camera.sigma_focal and view.camera.sigma_focal > 0)
+        if wrong:
+            found.append(v)
+    return found
 
 
 def refuse_photo(count: int, name: str) -> None:

@@ -30,7 +30,8 @@ def locate(
     last = len(features) - 1
     matches = {i: m for (i, j), m in unguided.items() if j == last}
     theirs = dict(enumerate(features[:-1]))
-    return locate_photo(coarse, theirs, features[-1], matches, known_camera(target))
+    found = locate_photo(coarse, theirs, features[-1], matches, known_camera(target))
+    return found[0] if found else None
 
 
 def join_located(

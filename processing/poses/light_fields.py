@@ -26,7 +26,7 @@ from lfrig.processing.poses.triangulate import reproject, triangulate
 from lfrig.processing.poses.warp_lk import Picture, Relief, Station, Warp, follow
 
 FLOW_CORNERS = 250
-MAX_FLOW_STEP_DEG = 31.0
+MAX_FLOW_STEP_DEG = 36.0
 SMOOTH_SIGMA_PX = 1.5
 DISPARITY_SIGMA_PX = 0.012
 REJECT_DISPARITY = 5.0
@@ -96,7 +96,7 @@ def with_lines(arrangement: Arrangement, lines: Sequence[Line | None]) -> Arrang
 
 @dataclass(frozen=True)
 class Followed:
-    """Sightings, and for every (light field, other view) how many corners were found there, of how many tried."""
+    """Sightings, and for every (light field, other view) how many corners were found there, of how many expected."""
 
     seen: Observations
     found: dict[Pair, int]
@@ -105,6 +105,14 @@ class Followed:
     def fraction(self, pair: Pair) -> float:
         """Share of the corners found."""
         return self.found[pair] / max(self.tried[pair], 1)
+
+    def fractions(self) -> dict[Pair, float]:
+        """All of them."""
+        return {pair: self.fraction(pair) for pair in self.found}
+
+    def into(self, view: int) -> int:
+        """Corners found in a view."""
+        return sum(n for (_, i), n in self.found.items() if i == view)
 
 
 def follow_all(
@@ -135,9 +143,8 @@ def follow_all(
         places[:, j] = relief.corners.xy
         for i in others:
             warp = Warp(relief, line.scale(cameras[j]), stations[j], stations[i], limits)
-            places[:, i] = follow(warp, looks.pictures[j], looks.pictures[i], flow=(j, i) in flow)
+            places[:, i], tried[j, i] = follow(warp, looks.pictures[j], looks.pictures[i], flow=(j, i) in flow)
             found[j, i] = int(np.isfinite(places[:, i, 0]).sum())
-            tried[j, i] = len(relief.corners)
         tables.append((j, places, relief.corners.disparity))
     return Followed(_observations(tables), found, tried)
 
@@ -276,6 +283,5 @@ def second_pass(
         if not lost and total < ENOUGH_GAIN * before:
             break
         lost = set() if lost else {p for p in followed.found if followed.fraction(p) < LOST_FRACTION}
-        if not lost and before == 0 and rough.noise_px < 0.15: break
         before = total
     return solved, followed

@@ -114,17 +114,19 @@ class Warp:
         return projection(self.here.camera, self.here.pose, self.there.camera, self.there.pose)
 
 
-def follow(warp: Warp, here: Picture, there: Picture, *, flow: bool) -> F64:
-    """Where the light field's corners appear in another picture, float64 [N, 2] px; NaN where they do not.
+def follow(warp: Warp, here: Picture, there: Picture, *, flow: bool) -> tuple[F64, int]:
+    """Where the light field's corners appear in another picture, float64 [N, 2] px, NaN where they do not; and how many
+    were expected inside it.
 
     With ``flow`` the prediction may be off by tens of pixels; without, by a few.
     """
     corners = warp.relief.corners
     found = np.full((len(corners), 2), np.nan)
     if not len(corners):
-        return found
+        return found, 0
     start, affine, along = warp.points(corners.xy, corners.disparity)
     good = np.isfinite(start).all(1)
+    expected = int((good & _usable(start, affine, there.grey.shape)).sum())
     if flow:
         moved, kept = _flowed(warp, here, there, corners.xy)
         height, width = here.grey.shape
@@ -139,7 +141,7 @@ def follow(warp: Warp, here: Picture, there: Picture, *, flow: bool) -> F64:
         near = np.linalg.norm(xy - start[rows], axis=1) < MAX_SHIFT_PX
         keep = near & (likeness > MIN_CORRELATION)
         found[rows[keep]] = xy[keep]
-    return found
+    return found, expected
 
 
 def _usable(xy: F64, affine: F64, shape: tuple[int, ...]) -> NDArray[np.bool_]:

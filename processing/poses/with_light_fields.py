@@ -1,0 +1,197 @@
+"""The light-field way as a whole: two passes of warp-LK, a gate, and structure from motion where the gate says no."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lfrig.contracts.progress import Monitor
+from lfrig.processing.geometry import world_points
+from lfrig.processing.model import Evidence, LightField, Photo, RigPrior, ScaleFit
+from lfrig.processing.poses import gate
+from lfrig.processing.poses.arrangement import Arrangement, Line
+from lfrig.processing.poses.guide import Guide, disparity_around
+from lfrig.processing.poses.join_photo import join_located
+from lfrig.processing.poses.light_fields import (
+    Looks,
+    disparity_residual,
+    first_pass,
+    look_at,
+    recorded_line,
+    second_pass,
+    with_lines,
+)
+from lfrig.processing.poses.matching import Gallery
+from lfrig.processing.poses.priors import (
+    PhotoPrior,
+    depth_limits,
+    known_camera,
+    photo_prior,
+    turntable_arrangement,
+    with_photo,
+)
+from lfrig.processing.poses.structure import Structure
+from lfrig.processing.poses.target import Located, locate_photo
+from lfrig.processing.poses.tracks import Observations
+from lfrig.processing.poses.with_prior import solve_with_prior
+
+MAX_TRIED = 3
+UNRECORDED_SIGMA = 0.3
+"""Sigma of a line that is not recorded but fitted to points: nothing is known beforehand."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """What is to be solved; ``features`` finds the SIFT features of all views, the photo's last, when they are needed."""
+
+    sources: Sequence[LightField]
+    evidence: Sequence[Evidence]
+    target: Photo
+    prior: RigPrior
+    features: Callable[[], Gallery]
+
+    @property
+    def depth_range_m(self) -> tuple[float, float]:
+        """Depths that points may have."""
+        return depth_limits(self.sources, self.prior)
+
+    @property
+    def names(self) -> list[str]:
+        """Of the sources."""
+        return [s.id for s in self.sources]
+
+
+def solve_with_light_fields(task: Task, monitor: Monitor) -> tuple[str, Structure]:
+    """Structure of the sources and, as its last view, the photo; and the method that found it, ``lf`` where the light
+    fields had the last word.
+    """
+    looks = look_at(task.sources, task.evidence, task.target, monitor)
+    lines = [recorded_line(s, len(task.sources)) for s in task.sources]
+    arrangement = with_lines(turntable_arrangement(task.sources, task.prior), lines)
+    expected = arrangement.poses(np.zeros(arrangement.size))
+    gate.refuse_identical_poses(expected, task.names, task.depth_range_m[0])
+    solved = _by_light_fields(task, looks, arrangement, monitor)
+    if solved is not None:
+        return "lf", solved
+    fallback = solve_with_prior(
+        "colmap-turntable", task.sources, task.evidence, task.features(), task.target, task.prior, monitor
+    )
+    return _polished(task, looks, lines, fallback, monitor)
+
+
+def _by_light_fields(task: Task, looks: Looks, arrangement: Arrangement, monitor: Monitor) -> Structure | None:
+    """Both passes and the photo; None when the gate is not passed."""
+    known = photo_prior(task.target, task.prior)
+    near, far = task.depth_range_m
+    widened = near / 1.5, far * 1.5
+    sigma = task.prior.turntable_sigma_deg
+    if known is not None:
+        rough = first_pass(looks, with_photo(arrangement, task.target, known), widened, monitor)
+        if rough is not None:
+            solved, followed = second_pass(looks, rough, task.depth_range_m, monitor)
+            if not gate.doubts(solved, followed.fractions(), sigma):
+                return solved
+    if len(task.sources) < 2:
+        return None
+    rough = first_pass(looks, arrangement, widened, monitor)
+    if rough is None:
+        return None
+    alone, followed = second_pass(looks, rough, task.depth_range_m, monitor)
+    if gate.doubts(alone, followed.fractions(), sigma):
+        return None
+    return _with_located_photo(task, looks, alone, known, monitor)
+
+
+def _with_located_photo(
+    task: Task, looks: Looks, alone: Structure, known: PhotoPrior | None, monitor: Monitor
+) -> Structure | None:
+    """The photo joined where its SIFT features put it: of several hypotheses that in which most corners are found."""
+    best, most = None, 0
+    for located in hypotheses(task, alone)[:MAX_TRIED]:
+        silent = Monitor()
+        joined = join_located(alone, located, task.target, known, silent)
+        solved, followed = second_pass(looks, joined, task.depth_range_m, monitor)
+        count = followed.into(len(task.sources))
+        if count > most and not gate.doubts(solved, followed.fractions(), task.prior.turntable_sigma_deg):
+            best, most = (solved, silent), count
+    if best is None:
+        return None
+    for notice in best[1].notices:
+        monitor.warn(notice.code, notice.message)
+    return best[0]
+
+
+def hypotheses(task: Task, solved: Structure) -> list[Located]:
+    """Possible poses of the photo: its SIFT matches with every source, whose depths the light fields tell."""
+    features, count = task.features(), len(task.sources)
+    cameras, poses, lines = solved.cameras, solved.poses, solved.arrangement.lines(solved.parameters)
+    worlds, views, rows = [], [], []
+    for v in range(count):
+        line = lines[v]
+        if line is None:
+            continue
+        judged = disparity_around(features[v].xy, task.evidence[v])
+        scale = line.scale(cameras[v])
+        inverse = scale.a * judged.own + scale.c
+        good = np.flatnonzero(judged.sure & (inverse > 1 / task.depth_range_m[1]))
+        worlds.append(world_points(cameras[v], poses[v], features[v].xy[good], 1 / inverse[good]))
+        views.append(np.full(len(good), v))
+        rows.append(good)
+    world, view, row = np.concatenate(worlds), np.concatenate(views), np.concatenate(rows)
+    n = len(world)
+    seen = Observations(np.arange(n), view, row, np.zeros((n, 2)), np.ones(n))
+    known = replace(solved, seen=seen, points=world)
+    matches = {v: features.match(v, count) for v in range(count)}
+    theirs = dict(enumerate(features[:count]))
+    return locate_photo(known, theirs, features[count], matches, known_camera(task.target))
+
+
+def _polished(
+    task: Task, looks: Looks, lines: Sequence[Line | None], first: Structure, monitor: Monitor
+) -> tuple[str, Structure]:
+    """The second pass on what structure from motion found; dropped where it would lose a view."""
+    guide = Guide(task.sources, task.evidence, task.depth_range_m, True)
+    found = [guide.fitted_line(first, v) for v in range(len(task.sources))]
+    cameras = first.cameras
+    priors = list(lines)
+    x = first.parameters.copy()
+    for v, scale in enumerate(found):
+        if scale is None:
+            continue
+        line = priors[v]
+        if line is None:
+            priors[v] = Line.of_scale(scale, cameras[v], UNRECORDED_SIGMA)
+            continue
+        start = first.arrangement.log_lines.start + 2 * v
+        now = Line.of_scale(scale, cameras[v], 0.0)
+        x[start : start + 2] = np.log([now.baseline_m / line.baseline_m, now.inverse_focus / line.inverse_focus])
+    rough = replace(first, arrangement=with_lines(first.arrangement, priors), parameters=x)
+    solved, followed = second_pass(looks, rough, task.depth_range_m, monitor)
+    # Angles and focal lengths have been judged, and warned of, already.
+    if gate.doubts(solved, followed.fractions(), None):
+        return "colmap-turntable", first
+    return "lf", solved
+
+
+def solved_scales(structure: Structure, sources: int) -> tuple[ScaleFit | None, ...]:
+    """Scale of each source as the adjustment left it, None where none took part; scatter and inliers are those of its
+    own corners.
+    """
+    lines = structure.arrangement.lines(structure.parameters)
+    seen = structure.seen
+    if seen.disparity is None:
+        return (None,) * sources
+    residual = disparity_residual(structure.arrangement, structure.parameters, seen, structure.points)
+    scales: list[ScaleFit | None] = []
+    for v in range(sources):
+        line, own = lines[v], np.isfinite(residual) & (seen.view == v)
+        if line is None or not own.any():
+            scales.append(None)
+            continue
+        scale = line.scale(structure.cameras[v])
+        spread = 1.4826 * float(np.median(np.abs(residual[own])))
+        inside = float((np.abs(residual[own]) < 4 * spread).mean())
+        scales.append(ScaleFit(scale.a, scale.c, scale.a * spread, inside, int(own.sum()), "joint"))
+    return tuple(scales)
