@@ -19,8 +19,16 @@ from lfrig.processing.poses.adjust import Disparity, Reprojection, ResidualBlock
 from lfrig.processing.poses.arrangement import Arrangement, Line
 from lfrig.processing.poses.corners import grey_of, light_field_corners
 from lfrig.processing.poses.patches import normalised
-from lfrig.processing.poses.priors import PAIR_LIMIT_DEG, known_camera
-from lfrig.processing.poses.structure import FINE_TOLERANCE, ROUGH_TOLERANCE, Structure, gate_sightings, noise_of
+from lfrig.processing.poses.priors import PAIR_LIMIT_DEG
+from lfrig.processing.poses.structure import (
+    FINE_SCALE_PX,
+    FINE_TOLERANCE,
+    ROUGH_TOLERANCE,
+    Structure,
+    coarseness,
+    gate_sightings,
+    noise_of,
+)
 from lfrig.processing.poses.tracks import Observations, Pair
 from lfrig.processing.poses.triangulate import reproject, triangulate
 from lfrig.processing.poses.warp_lk import Picture, Relief, Station, Warp, follow
@@ -32,6 +40,7 @@ DISPARITY_SIGMA_PX = 0.012
 REJECT_DISPARITY = 5.0
 OPTICS_FLOOR = 0.005
 ENOUGH_POINTS = 15
+UNLIKENESS = 0.03
 MAX_PASSES = 4
 ENOUGH_GAIN = 1.03
 LOST_FRACTION = 0.15
@@ -141,30 +150,41 @@ def follow_all(
             relief = relief.first(limit)
         places = np.full((len(relief.corners), len(poses), 2), np.nan)
         places[:, j] = relief.corners.xy
+        likeness = np.ones(places.shape[:2])
         for i in others:
             warp = Warp(relief, line.scale(cameras[j]), stations[j], stations[i], limits)
-            places[:, i], tried[j, i] = follow(warp, looks.pictures[j], looks.pictures[i], flow=(j, i) in flow)
-            found[j, i] = int(np.isfinite(places[:, i, 0]).sum())
-        tables.append((j, places, relief.corners.disparity))
+            sighted = follow(warp, looks.pictures[j], looks.pictures[i], flow=(j, i) in flow)
+            places[:, i], likeness[:, i] = sighted.xy, sighted.likeness
+            found[j, i], tried[j, i] = sighted.count, sighted.expected
+        tables.append((j, places, coarseness_of(likeness), relief.corners.disparity))
     return Followed(_observations(tables), found, tried)
 
 
-def _observations(tables: Sequence[tuple[int, F64, F64]]) -> Observations:
-    """Sightings of corners that were found anywhere, from places [N, V, 2] (NaN = not) and disparities [N] by view."""
+def coarseness_of(likeness: F64) -> F64:
+    """Position error of an aligned patch relative to that of a good one: what the patches differ by moves their best
+    fit in proportion. A residual of standardised patches is √(2 (1 − ρ)).
+    """
+    return np.sqrt(np.maximum(1 - likeness, UNLIKENESS) / UNLIKENESS)
+
+
+def _observations(tables: Sequence[tuple[int, F64, F64, F64]]) -> Observations:
+    """Sightings of corners that were found anywhere, by view: places [N, V, 2] (NaN = not), their coarseness [N, V], and
+    disparities [N].
+    """
     parts, first = [], 0
-    for own, places, disparity in tables:
+    for own, places, coarse, disparity in tables:
         seen = np.isfinite(places[:, :, 0])
         rows = np.flatnonzero(seen.sum(1) > 1)
         row, view = np.nonzero(seen[rows])
         told = np.where(view == own, disparity[rows[row]], np.nan)
         feature = np.where(view == own, rows[row], -1)
-        parts.append((first + row, view, feature, places[rows[row], view], told))
+        scale = FINE_SCALE_PX * coarse[rows[row], view]
+        parts.append((first + row, view, feature, places[rows[row], view], scale, told))
         first += len(rows)
     if not parts:
         none = np.zeros(0, np.int64)
         return Observations(none, none, none, np.zeros((0, 2)), np.zeros(0), np.zeros(0))
-    point, view, feature, xy, told = (np.concatenate(p) for p in zip(*parts, strict=True))
-    return Observations(point, view, feature, xy, np.ones(len(point)), told)
+    return Observations(*(np.concatenate(p) for p in zip(*parts, strict=True)))
 
 
 def adjust_light_fields(
@@ -190,7 +210,7 @@ def adjust_light_fields(
         points = points[kept]
         if seen.count < ENOUGH_POINTS:
             break
-        blocks: list[ResidualBlock] = [Reprojection(seen, np.full(len(seen), noise))]
+        blocks: list[ResidualBlock] = [Reprojection(seen, noise * coarseness(seen))]
         told = _told(seen)
         blocks.append(Disparity(seen.point[told], seen.view[told], _disparity(seen)[told], np.full(len(told), sigma)))
         tolerance = FINE_TOLERANCE if level is None else ROUGH_TOLERANCE

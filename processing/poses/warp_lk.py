@@ -114,16 +114,31 @@ class Warp:
         return projection(self.here.camera, self.here.pose, self.there.camera, self.there.pose)
 
 
-def follow(warp: Warp, here: Picture, there: Picture, *, flow: bool) -> tuple[F64, int]:
-    """Where the light field's corners appear in another picture, float64 [N, 2] px, NaN where they do not; and how many
-    were expected inside it.
+@dataclass(frozen=True)
+class Sighted:
+    """Corners in another picture: ``xy`` float64 [N, 2] px, NaN where not found; ``likeness`` float32 [N], the normalised
+    correlation of the patches; and how many were ``expected`` inside the picture.
+    """
+
+    xy: F64
+    likeness: F32
+    expected: int
+
+    @property
+    def count(self) -> int:
+        """How many were found."""
+        return int(np.isfinite(self.xy[:, 0]).sum())
+
+
+def follow(warp: Warp, here: Picture, there: Picture, *, flow: bool) -> Sighted:
+    """Where the light field's corners appear in another picture.
 
     With ``flow`` the prediction may be off by tens of pixels; without, by a few.
     """
     corners = warp.relief.corners
-    found = np.full((len(corners), 2), np.nan)
+    found, alike = np.full((len(corners), 2), np.nan), np.zeros(len(corners), np.float32)
     if not len(corners):
-        return found, 0
+        return Sighted(found, alike, 0)
     start, affine, along = warp.points(corners.xy, corners.disparity)
     good = np.isfinite(start).all(1)
     expected = int((good & _usable(start, affine, there.grey.shape)).sum())
@@ -140,8 +155,8 @@ def follow(warp: Warp, here: Picture, there: Picture, *, flow: bool) -> tuple[F6
         xy, likeness = align(here.grey, there.grey, corners.xy[rows], start[rows], affine[rows], along[rows])
         near = np.linalg.norm(xy - start[rows], axis=1) < MAX_SHIFT_PX
         keep = near & (likeness > MIN_CORRELATION)
-        found[rows[keep]] = xy[keep]
-    return found, expected
+        found[rows[keep]], alike[rows[keep]] = xy[keep], likeness[keep]
+    return Sighted(found, alike, expected)
 
 
 def _usable(xy: F64, affine: F64, shape: tuple[int, ...]) -> NDArray[np.bool_]:
