@@ -31,6 +31,7 @@ FOUND_SHARE = 0.4
 MIN_FOUND = 0.12
 """A view in whose best pair fewer corners are found than this fraction of the usual, or of all, is not where it seems."""
 
+MIN_LINK = 40
 MIN_PHOTO_MATCHES = 12
 MIN_VIEW_MATCHES = 15
 MIN_AGREEMENT = 0.2
@@ -174,7 +175,19 @@ def doubts(structure: Structure, fractions: Mapping[Pair, float], sigma_deg: flo
             wrong |= bool(abs(focal) > FOCAL_SIGMAS * view.camera.sigma_focal and view.camera.sigma_focal > 0)
         if wrong:
             found.append(v)
-    return found
+    return found or unlinked(structure)
+
+
+def unlinked(structure: Structure) -> list[int]:
+    """Views that `MIN_LINK` common points do not tie to the first one, through whatever chain."""
+    seen, views = structure.seen, len(structure.arrangement.views)
+    shows = np.zeros((seen.count, views))
+    shows[seen.point, seen.view] = 1
+    linked = shows.T @ shows >= MIN_LINK
+    reached = np.eye(1, views, dtype=bool)[0]
+    for _ in range(views):
+        reached = reached | linked[reached].any(0)
+    return np.flatnonzero(~reached).tolist()
 
 
 def refuse_photo(count: int, name: str) -> None:

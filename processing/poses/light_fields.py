@@ -270,10 +270,9 @@ def widest_link_deg(poses: Sequence[Pose]) -> float:
 
 
 def first_pass(
-    looks: Looks, arrangement: Arrangement, depth_range_m: tuple[float, float], monitor: Monitor
+    looks: Looks, arrangement: Arrangement, x: F64, depth_range_m: tuple[float, float], monitor: Monitor
 ) -> Structure | None:
     """Follow by flow into the neighbours and solve; None where steps are too wide for it, or optics unknown."""
-    x = np.zeros(arrangement.size)
     poses = arrangement.poses(x)
     widest = widest_link_deg(poses)
     if widest > MAX_FLOW_STEP_DEG or any(arrangement.views[v].line is None for v in range(len(looks.reliefs))):

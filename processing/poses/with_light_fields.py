@@ -15,6 +15,7 @@ from lfrig.processing.poses.arrangement import Arrangement, Line
 from lfrig.processing.poses.guide import Guide, disparity_around
 from lfrig.processing.poses.join_photo import join_located
 from lfrig.processing.poses.light_fields import (
+    Followed,
     Looks,
     disparity_residual,
     first_pass,
@@ -58,6 +59,12 @@ class Task:
         return depth_limits(self.sources, self.prior)
 
     @property
+    def rough_range_m(self) -> tuple[float, float]:
+        """The same with room for rough poses."""
+        near, far = self.depth_range_m
+        return near / 1.5, far * 1.5
+
+    @property
     def names(self) -> list[str]:
         """Of the sources."""
         return [s.id for s in self.sources]
@@ -82,26 +89,39 @@ def solve_with_light_fields(task: Task, monitor: Monitor) -> tuple[str, Structur
 
 
 def _by_light_fields(task: Task, looks: Looks, arrangement: Arrangement, monitor: Monitor) -> Structure | None:
-    """Both passes and the photo; None when the gate is not passed."""
+    """Both passes, with the photo where its mount puts it, else where its SIFT features do; None when the gate is not
+    passed.
+    """
     known = photo_prior(task.target, task.prior)
-    near, far = task.depth_range_m
-    widened = near / 1.5, far * 1.5
-    sigma = task.prior.turntable_sigma_deg
     if known is not None:
-        rough = first_pass(looks, with_photo(arrangement, task.target, known), widened, monitor)
-        if rough is not None:
-            solved, followed = second_pass(looks, rough, task.depth_range_m, monitor)
-            if not gate.doubts(solved, followed.fractions(), sigma):
-                return solved
-    if len(task.sources) < 2:
+        whole = with_photo(arrangement, task.target, known)
+        rough = first_pass(looks, whole, np.zeros(whole.size), task.rough_range_m, monitor)
+        solved = _finished(task, looks, rough, monitor)
+        if solved is not None:
+            return solved[0]
+    zero = np.zeros(arrangement.size)
+    alone = None
+    if len(task.sources) > 1:
+        alone = _finished(task, looks, first_pass(looks, arrangement, zero, task.rough_range_m, monitor), monitor)
+    if alone is None and known is None:
         return None
-    rough = first_pass(looks, arrangement, widened, monitor)
+    return _with_located_photo(task, looks, alone[0] if alone else bare(arrangement), known, monitor)
+
+
+def _finished(task: Task, looks: Looks, rough: Structure | None, monitor: Monitor) -> tuple[Structure, Followed] | None:
+    """The second pass, when the gate is passed."""
     if rough is None:
         return None
-    alone, followed = second_pass(looks, rough, task.depth_range_m, monitor)
-    if gate.doubts(alone, followed.fractions(), sigma):
-        return None
-    return _with_located_photo(task, looks, alone, known, monitor)
+    solved, followed = second_pass(looks, rough, task.depth_range_m, monitor)
+    return None if gate.doubts(solved, followed.fractions(), task.prior.turntable_sigma_deg) else (solved, followed)
+
+
+def bare(arrangement: Arrangement) -> Structure:
+    """The priors as they are, without a point."""
+    none = np.zeros(0, np.int64)
+    seen = Observations(none, none, none, np.zeros((0, 2)), np.zeros(0), np.zeros(0))
+    size = arrangement.size
+    return Structure(arrangement, np.zeros(size), seen, np.zeros((0, 3)), 1.0, np.zeros((size, size)))
 
 
 def _with_located_photo(
@@ -111,14 +131,15 @@ def _with_located_photo(
     best, most = None, 0
     for located in hypotheses(task, alone)[:MAX_TRIED]:
         silent = Monitor()
-        joined = join_located(alone, located, task.target, known, silent)
-        solved, followed = second_pass(looks, joined, task.depth_range_m, monitor)
-        count = followed.into(len(task.sources))
-        if count > most and not gate.doubts(solved, followed.fractions(), task.prior.turntable_sigma_deg):
-            best, most = (solved, silent), count
+        joined: Structure | None = join_located(alone, located, task.target, known, silent)
+        if joined is not None and not alone.seen.count:
+            joined = first_pass(looks, joined.arrangement, joined.parameters, task.rough_range_m, monitor)
+        solved = _finished(task, looks, joined, monitor)
+        if solved is not None and solved[1].into(len(task.sources)) > most:
+            best, most = (solved[0], silent.notices), solved[1].into(len(task.sources))
     if best is None:
         return None
-    for notice in best[1].notices:
+    for notice in best[1]:
         monitor.warn(notice.code, notice.message)
     return best[0]
 
