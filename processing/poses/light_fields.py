@@ -26,6 +26,7 @@ from lfrig.processing.poses.structure import (
     ROUGH_TOLERANCE,
     Structure,
     coarseness,
+    common_points,
     gate_sightings,
     noise_of,
 )
@@ -41,9 +42,12 @@ REJECT_DISPARITY = 5.0
 OPTICS_FLOOR = 0.005
 ENOUGH_POINTS = 15
 UNLIKENESS = 0.03
-MAX_PASSES = 4
-ENOUGH_GAIN = 1.03
+MAX_ROUNDS = 4
+SETTLED_DEG = 0.03
+"""Rotations that change by less move no prediction by a pixel."""
+
 LOST_FRACTION = 0.15
+ENOUGH_SHARED = 100
 
 FLOW_SCHEDULE = ((16.0, 0.06), (4.0, 0.06), (1.2, 0.02), (0.4, 0.012))
 ALIGN_SCHEDULE = ((0.5, 0.012),)
@@ -113,7 +117,7 @@ class Followed:
 
     def fraction(self, pair: Pair) -> float:
         """Share of the corners found."""
-        return self.found[pair] / max(self.tried[pair], 1)
+        return self.found.get(pair, 0) / max(self.tried.get(pair, 0), 1)
 
     def fractions(self) -> dict[Pair, float]:
         """All of them."""
@@ -287,20 +291,30 @@ def first_pass(
 def second_pass(
     looks: Looks, rough: Structure, depth_range_m: tuple[float, float], monitor: Monitor
 ) -> tuple[Structure, Followed]:
-    """Align all corners in every view within reach of a rough solution, and solve again; until no more are found.
+    """Align all corners in every view within reach of a rough solution, and solve again; until that moves little.
 
-    Pairs in which hardly any are found are followed by flow once more: the first pass need not have seen them.
+    Pairs that hardly share a point are followed by flow once more: the first pass need not have seen them.
     """
     pairs = directed_pairs(rough.poses, len(looks.reliefs), PAIR_LIMIT_DEG)
-    solved, lost, before = rough, set(), 0
-    for _ in range(MAX_PASSES):
+    solved, lost = rough, set[Pair]()
+    for _ in range(MAX_ROUNDS):
+        before = solved.poses
         followed = follow_all(looks, solved.arrangement, solved.parameters, pairs, depth_range_m, flow=lost)
         solved = adjust_light_fields(
             solved.arrangement, solved.parameters, followed.seen, depth_range_m, ALIGN_SCHEDULE, monitor
         )
-        total = sum(followed.found.values())
-        if not lost and total < ENOUGH_GAIN * before:
+        again = bool(lost) or _moved_deg(before, solved.poses) > SETTLED_DEG
+        shared = common_points(solved)
+        # A pair that flow has just failed for is let go.
+        lost = {p for p in pairs if shared[p] < ENOUGH_SHARED and followed.fraction(p) < LOST_FRACTION} - lost
+        if not (again or lost):
             break
-        lost = set() if lost else {p for p in followed.found if followed.fraction(p) < LOST_FRACTION}
-        before = total
     return solved, followed
+
+
+def _moved_deg(before: Sequence[Pose], after: Sequence[Pose]) -> float:
+    """Largest change of a view's rotation relative to the first one's."""
+    return max(
+        rotation_angle_deg(a.rotation @ before[0].rotation.T, b.rotation @ after[0].rotation.T)
+        for a, b in zip(before, after, strict=True)
+    )

@@ -60,6 +60,14 @@ def coarseness(seen: Observations) -> F64:
     return np.maximum(1.0, seen.scale / FINE_SCALE_PX)
 
 
+def common_points(structure: Structure) -> F64:
+    """How many points each two views share, float64 [V, V]."""
+    seen = structure.seen
+    shows = np.zeros((seen.count, len(structure.arrangement.views)))
+    shows[seen.point, seen.view] = 1
+    return np.asarray(shows.T @ shows, np.float64)
+
+
 def noise_of(residual: F64, seen: Observations) -> float:
     """Robust standard deviation [px] of one coordinate, corrected for what the points absorbed (degrees of freedom)."""
     if not len(seen):

@@ -82,6 +82,7 @@ def solve_with_light_fields(task: Task, monitor: Monitor) -> tuple[str, Structur
     solved = _by_light_fields(task, looks, arrangement, monitor)
     if solved is not None:
         return "lf", solved
+    _refuse_wrong_direction(task, looks, arrangement, monitor)
     fallback = solve_with_prior(
         "colmap-turntable", task.sources, task.evidence, task.features(), task.target, task.prior, monitor
     )
@@ -114,6 +115,16 @@ def _finished(task: Task, looks: Looks, rough: Structure | None, monitor: Monito
         return None
     solved, followed = second_pass(looks, rough, task.depth_range_m, monitor)
     return None if gate.doubts(solved, followed.fractions(), task.prior.turntable_sigma_deg) else (solved, followed)
+
+
+def _refuse_wrong_direction(task: Task, looks: Looks, arrangement: Arrangement, monitor: Monitor) -> None:
+    """Refuse angles that fit with the other sign."""
+    flipped = replace(arrangement, views=tuple(replace(v, angle_deg=-v.angle_deg) for v in arrangement.views))
+    start = np.zeros(flipped.size)
+    if len(flipped.views) > 1 and np.ptp([v.angle_deg for v in flipped.views]) > 0:
+        rough = first_pass(looks, flipped, start, task.rough_range_m, monitor)
+        if _finished(task, looks, rough, monitor) is not None:
+            gate.refuse_direction()
 
 
 def bare(arrangement: Arrangement) -> Structure:
@@ -191,7 +202,9 @@ def _polished(
     rough = replace(first, arrangement=with_lines(first.arrangement, priors), parameters=x)
     solved, followed = second_pass(looks, rough, task.depth_range_m, monitor)
     # Angles and focal lengths have been judged, and warned of, already.
-    if gate.doubts(solved, followed.fractions(), None):
+    doubted = gate.doubts(solved, followed.fractions(), None)
+    if doubted:
+        gate.warn_of_unconfirmed(doubted, followed.fractions(), task.names, task.target.id, monitor)
         return "colmap-turntable", first
     return "lf", solved
 
