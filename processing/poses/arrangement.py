@@ -43,7 +43,6 @@ class Line:
         return ScaleFit(1 / (self.baseline_m * camera.focal_px), self.inverse_focus)
 
 
-
 @dataclass(frozen=True)
 class Viewpoint:
     """One view: its camera (with ``sigma_focal``), its mount, the plate's angle, how far it may stray, and for a light

@@ -1,4 +1,4 @@
-"""Corners of a light field's centre view and their disparities, by Gauss–Newton over the light field's own border views.
+"""Corners of a light field's centre view and their disparities, by Gauss–Newton over its own border views.
 
 The depth map answers for whole windows; a corner deserves better. Its patch is followed into eight views on the rim
 of the aperture, where a disparity has its longest lever, and the one number that moves all eight patches is solved
@@ -35,8 +35,8 @@ MAX_CHANGE_PX = 0.06
 
 @dataclass(frozen=True)
 class Corners:
-    """Corners of one centre view, strongest first: ``xy`` float64 [N, 2] px; ``disparity`` float64 [N] px per view step,
-    NaN where the light field does not tell.
+    """Corners of one centre view, strongest first: ``xy`` float64 [N, 2] px; ``disparity`` float64 [N] px per view
+    step, NaN where the light field does not tell.
     """
 
     xy: F64
@@ -51,7 +51,7 @@ class Corners:
 
 
 def find_corners(grey: F32, limit: int = MAX_CORNERS) -> F64:
-    """Corners of a grey image float32 [H, W] after local normalisation, so that dim parts have theirs too: [N, 2] px."""
+    """Corners of a grey image float32 [H, W] after local normalisation (dim parts have theirs too), [N, 2] px."""
     import cv2
 
     found = cv2.goodFeaturesToTrack(normalised(grey), limit, QUALITY, SPACING_PX, blockSize=BLOCK_PX)

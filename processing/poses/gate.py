@@ -31,7 +31,7 @@ UNKNOWN_FOCAL = 0.2
 MAX_FOCAL_FACTOR = 1.4
 FOUND_SHARE = 0.4
 MIN_FOUND = 0.12
-"""A view in whose best pair fewer corners are found than this fraction of the usual, or of all, is not where it seems."""
+"""A view in whose best pair fewer corners are found than this fraction of the usual, or of all, is doubted."""
 
 MIN_LINK = 40
 MIN_PHOTO_MATCHES = 12

@@ -7,21 +7,19 @@ land within a pixel of where they are predicted. Each capture's scale (1/z = a �
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from lfrig.contracts.progress import Monitor
 from lfrig.processing.geometry import rotation_angle_deg
-from lfrig.processing.model import F32, F64, Evidence, LightField, Photo, Pose
+from lfrig.processing.model import F64, LightField, Pose
 from lfrig.processing.poses.adjust import Disparity, Reprojection, ResidualBlock, adjust
 from lfrig.processing.poses.arrangement import Arrangement, Line
-from lfrig.processing.poses.corners import grey_of, light_field_corners
-from lfrig.processing.poses.patches import normalised
 from lfrig.processing.poses.priors import PAIR_LIMIT_DEG
+from lfrig.processing.poses.sightings import Followed, Looks, directed_pairs, follow_all
 from lfrig.processing.poses.structure import (
-    FINE_SCALE_PX,
     FINE_TOLERANCE,
     ROUGH_TOLERANCE,
     Structure,
@@ -32,16 +30,14 @@ from lfrig.processing.poses.structure import (
 )
 from lfrig.processing.poses.tracks import Observations, Pair
 from lfrig.processing.poses.triangulate import reproject, triangulate
-from lfrig.processing.poses.warp_lk import Picture, Relief, Station, Warp, follow
 
 FLOW_CORNERS = 250
 MAX_FLOW_STEP_DEG = 36.0
-SMOOTH_SIGMA_PX = 1.5
 DISPARITY_SIGMA_PX = 0.012
 REJECT_DISPARITY = 5.0
 OPTICS_FLOOR = 0.005
 ENOUGH_POINTS = 15
-UNLIKENESS = 0.03
+MAX_ITERATIONS = 12
 MAX_ROUNDS = 4
 SETTLED_DEG = 0.03
 """Rotations that change by less move no prediction by a pixel."""
@@ -52,37 +48,6 @@ ENOUGH_SHARED = 100
 FLOW_SCHEDULE = ((16.0, 0.06), (4.0, 0.06), (1.2, 0.02), (0.4, 0.012))
 ALIGN_SCHEDULE = ((0.5, 0.012),)
 """Noise levels [px] and [px of disparity], falling, before the residuals say what the noise is."""
-
-
-@dataclass(frozen=True)
-class Looks:
-    """What matching needs of every view: ``pictures`` of all, the photo's last, and ``reliefs`` of the sources."""
-
-    pictures: tuple[Picture, ...]
-    reliefs: tuple[Relief, ...]
-
-
-def look_at(sources: Sequence[LightField], evidence: Sequence[Evidence], target: Photo, monitor: Monitor) -> Looks:
-    """Prepare all pictures, corners and disparities."""
-    pictures, reliefs = [], []
-    for source, seen in zip(sources, evidence, strict=True):
-        pictures.append(_picture(source.centre_view))
-        reliefs.append(Relief(light_field_corners(source, seen), smoothed(seen.disparity)))
-        monitor.advance()
-    return Looks((*pictures, _picture(target.image8)), tuple(reliefs))
-
-
-def _picture(image: np.ndarray) -> Picture:
-    grey = grey_of(image)
-    return Picture(grey, normalised(grey))
-
-
-def smoothed(disparity: F32) -> F32:
-    """The depth map as a surface to warp by: without specks, float32 [H, W]."""
-    import cv2
-
-    filled = np.where(np.isfinite(disparity), disparity, np.nanmedian(disparity)).astype(np.float32)
-    return np.asarray(cv2.GaussianBlur(cv2.medianBlur(filled, 5), (0, 0), SMOOTH_SIGMA_PX))
 
 
 def recorded_line(source: LightField, captures: int) -> Line | None:
@@ -105,90 +70,6 @@ def with_lines(arrangement: Arrangement, lines: Sequence[Line | None]) -> Arrang
     for v, line in enumerate(lines):
         views[v] = replace(views[v], line=line)
     return replace(arrangement, views=tuple(views))
-
-
-@dataclass(frozen=True)
-class Followed:
-    """Sightings, and for every (light field, other view) how many corners were found there, of how many expected."""
-
-    seen: Observations
-    found: dict[Pair, int]
-    tried: dict[Pair, int]
-
-    def fraction(self, pair: Pair) -> float:
-        """Share of the corners found."""
-        return self.found.get(pair, 0) / max(self.tried.get(pair, 0), 1)
-
-    def fractions(self) -> dict[Pair, float]:
-        """All of them."""
-        return {pair: self.fraction(pair) for pair in self.found}
-
-    def into(self, view: int) -> int:
-        """Corners found in a view."""
-        return sum(n for (_, i), n in self.found.items() if i == view)
-
-
-def follow_all(
-    looks: Looks,
-    arrangement: Arrangement,
-    x: F64,
-    pairs: Sequence[Pair],
-    depth_range_m: tuple[float, float],
-    *,
-    flow: Collection[Pair] = (),
-    limit: int | None = None,
-) -> Followed:
-    """Follow the corners of the first view of each (directed) pair into the second; with ``flow`` where the prediction
-    may be poor. ``limit`` takes the strongest corners only.
-    """
-    cameras, poses, lines = arrangement.cameras(x), arrangement.poses(x), arrangement.lines(x)
-    stations = [Station(c, p) for c, p in zip(cameras, poses, strict=True)]
-    limits = 1 / depth_range_m[1], 1 / depth_range_m[0]
-    tables, found, tried = [], {}, {}
-    for j, relief in enumerate(looks.reliefs):
-        line = lines[j]
-        others = [i for k, i in pairs if k == j]
-        if line is None or not others:
-            continue
-        if limit is not None:
-            relief = relief.first(limit)
-        places = np.full((len(relief.corners), len(poses), 2), np.nan)
-        places[:, j] = relief.corners.xy
-        likeness = np.ones(places.shape[:2])
-        for i in others:
-            warp = Warp(relief, line.scale(cameras[j]), stations[j], stations[i], limits)
-            sighted = follow(warp, looks.pictures[j], looks.pictures[i], flow=(j, i) in flow)
-            places[:, i], likeness[:, i] = sighted.xy, sighted.likeness
-            found[j, i], tried[j, i] = sighted.count, sighted.expected
-        tables.append((j, places, coarseness_of(likeness), relief.corners.disparity))
-    return Followed(_observations(tables), found, tried)
-
-
-def coarseness_of(likeness: F64) -> F64:
-    """Position error of an aligned patch relative to that of a good one: what the patches differ by moves their best
-    fit in proportion. A residual of standardised patches is √(2 (1 − ρ)).
-    """
-    return np.sqrt(np.maximum(1 - likeness, UNLIKENESS) / UNLIKENESS)
-
-
-def _observations(tables: Sequence[tuple[int, F64, F64, F64]]) -> Observations:
-    """Sightings of corners that were found anywhere, by view: places [N, V, 2] (NaN = not), their coarseness [N, V], and
-    disparities [N].
-    """
-    parts, first = [], 0
-    for own, places, coarse, disparity in tables:
-        seen = np.isfinite(places[:, :, 0])
-        rows = np.flatnonzero(seen.sum(1) > 1)
-        row, view = np.nonzero(seen[rows])
-        told = np.where(view == own, disparity[rows[row]], np.nan)
-        feature = np.where(view == own, rows[row], -1)
-        scale = FINE_SCALE_PX * coarse[rows[row], view]
-        parts.append((first + row, view, feature, places[rows[row], view], scale, told))
-        first += len(rows)
-    if not parts:
-        none = np.zeros(0, np.int64)
-        return Observations(none, none, none, np.zeros((0, 2)), np.zeros(0), np.zeros(0))
-    return Observations(*(np.concatenate(p) for p in zip(*parts, strict=True)))
 
 
 def adjust_light_fields(
@@ -218,7 +99,7 @@ def adjust_light_fields(
         told = _told(seen)
         blocks.append(Disparity(seen.point[told], seen.view[told], _disparity(seen)[told], np.full(len(told), sigma)))
         tolerance = FINE_TOLERANCE if level is None else ROUGH_TOLERANCE
-        result = adjust(arrangement, x, points, blocks, tolerance=tolerance)
+        result = adjust(arrangement, x, points, blocks, max_iterations=MAX_ITERATIONS, tolerance=tolerance)
         x, points, covariance = result.parameters, result.points, result.covariance
         monitor.advance(0)
     return Structure(arrangement, x, seen, points, noise, covariance)
@@ -250,16 +131,6 @@ def _contradicted(arrangement: Arrangement, x: F64, seen: Observations, points: 
     return wrong
 
 
-def directed_pairs(poses: Sequence[Pose], sources: int, limit_deg: float) -> list[Pair]:
-    """(light field, other view) up to an angle apart."""
-    return [
-        (j, i)
-        for j in range(sources)
-        for i in range(len(poses))
-        if i != j and rotation_angle_deg(poses[i].rotation, poses[j].rotation) <= limit_deg
-    ]
-
-
 def widest_link_deg(poses: Sequence[Pose]) -> float:
     """The widest step of the chain that joins all views by their smallest steps (minimum spanning tree)."""
     joined, rest, widest = {0}, set(range(1, len(poses))), 0.0
@@ -276,7 +147,9 @@ def widest_link_deg(poses: Sequence[Pose]) -> float:
 def first_pass(
     looks: Looks, arrangement: Arrangement, x: F64, depth_range_m: tuple[float, float], monitor: Monitor
 ) -> Structure | None:
-    """Follow by flow into the neighbours and solve; None where steps are too wide for it, or optics unknown."""
+    """Follow by flow into the neighbours and solve; None where steps are too wide for it, optics unknown, or
+    hardly a corner of some view is found.
+    """
     poses = arrangement.poses(x)
     widest = widest_link_deg(poses)
     if widest > MAX_FLOW_STEP_DEG or any(arrangement.views[v].line is None for v in range(len(looks.reliefs))):
@@ -285,7 +158,9 @@ def first_pass(
     followed = follow_all(looks, arrangement, x, pairs, depth_range_m, flow=pairs, limit=FLOW_CORNERS)
     if followed.seen.count < ENOUGH_POINTS:
         return None
-    return adjust_light_fields(arrangement, x, followed.seen, depth_range_m, FLOW_SCHEDULE, monitor)
+    solved = adjust_light_fields(arrangement, x, followed.seen, depth_range_m, FLOW_SCHEDULE, monitor)
+    counts = np.bincount(solved.seen.view, minlength=len(poses))
+    return solved if counts.min() >= ENOUGH_POINTS else None
 
 
 def second_pass(

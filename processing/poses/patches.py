@@ -90,12 +90,11 @@ def normalised(grey: F32) -> NDArray[np.uint8]:
     blur = (0, 0), NORMALISE_SIGMA_PX
     mean = cv2.GaussianBlur(grey, *blur)
     variance = np.maximum(cv2.GaussianBlur(grey * grey, *blur) - mean * mean, 0)
-    return np.clip((grey - mean) / np.sqrt(variance + 9) * 48 + 128, 0, 255).astype(np.uint8)
+    even = np.clip((grey - mean) / np.sqrt(variance + 9) * 48 + 128, 0, 255)
+    return np.asarray(even, np.uint8)
 
 
-def align(
-    first: F32, second: F32, first_xy: F64, second_xy: F64, affine: F64, along: F64
-) -> tuple[F64, F32]:
+def align(first: F32, second: F32, first_xy: F64, second_xy: F64, affine: F64, along: F64) -> tuple[F64, F32]:
     """Move points of the second image so that the patches around them look like those of the first.
 
     Two unknowns at first, the shift; then also the slant of the surface, which stretches a patch along its epipolar

@@ -116,8 +116,8 @@ class Warp:
 
 @dataclass(frozen=True)
 class Sighted:
-    """Corners in another picture: ``xy`` float64 [N, 2] px, NaN where not found; ``likeness`` float32 [N], the normalised
-    correlation of the patches; and how many were ``expected`` inside the picture.
+    """Corners in another picture: ``xy`` float64 [N, 2] px, NaN where not found; ``likeness`` float32 [N], the
+    normalised correlation of the patches; and how many were ``expected`` inside the picture.
     """
 
     xy: F64

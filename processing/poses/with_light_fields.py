@@ -15,17 +15,16 @@ from lfrig.processing.poses.arrangement import Arrangement, Line
 from lfrig.processing.poses.guide import Guide, disparity_around
 from lfrig.processing.poses.join_photo import join_located
 from lfrig.processing.poses.light_fields import (
-    Followed,
-    Looks,
     disparity_residual,
     first_pass,
-    look_at,
     recorded_line,
     second_pass,
+    widest_link_deg,
     with_lines,
 )
 from lfrig.processing.poses.matching import Gallery
 from lfrig.processing.poses.priors import (
+    PUPIL_SHIFT_M,
     PhotoPrior,
     depth_limits,
     known_camera,
@@ -33,19 +32,21 @@ from lfrig.processing.poses.priors import (
     turntable_arrangement,
     with_photo,
 )
+from lfrig.processing.poses.sightings import Followed, Looks, look_at
 from lfrig.processing.poses.structure import Structure
 from lfrig.processing.poses.target import Located, locate_photo
 from lfrig.processing.poses.tracks import Observations
 from lfrig.processing.poses.with_prior import solve_with_prior
 
-MAX_TRIED = 3
+MAX_TRIED = 2
+ALONE_STEP_DEG = 25.0
 UNRECORDED_SIGMA = 0.3
 """Sigma of a line that is not recorded but fitted to points: nothing is known beforehand."""
 
 
 @dataclass(frozen=True)
 class Task:
-    """What is to be solved; ``features`` finds the SIFT features of all views, the photo's last, when they are needed."""
+    """What is to be solved; ``features`` finds the SIFT features of all views (the photo's last) when needed."""
 
     sources: Sequence[LightField]
     evidence: Sequence[Evidence]
@@ -76,7 +77,7 @@ def solve_with_light_fields(task: Task, monitor: Monitor) -> tuple[str, Structur
     """
     looks = look_at(task.sources, task.evidence, task.target, monitor)
     lines = [recorded_line(s, len(task.sources)) for s in task.sources]
-    arrangement = with_lines(turntable_arrangement(task.sources, task.prior), lines)
+    arrangement = with_lines(turntable_arrangement(task.sources, task.prior, PUPIL_SHIFT_M), lines)
     expected = arrangement.poses(np.zeros(arrangement.size))
     gate.refuse_identical_poses(expected, task.names, task.depth_range_m[0])
     solved = _by_light_fields(task, looks, arrangement, monitor)
@@ -94,6 +95,8 @@ def _by_light_fields(task: Task, looks: Looks, arrangement: Arrangement, monitor
     passed.
     """
     known = photo_prior(task.target, task.prior)
+    if any(v.line is None for v in arrangement.views):
+        return None
     if known is not None:
         whole = with_photo(arrangement, task.target, known)
         rough = first_pass(looks, whole, np.zeros(whole.size), task.rough_range_m, monitor)
@@ -101,12 +104,11 @@ def _by_light_fields(task: Task, looks: Looks, arrangement: Arrangement, monitor
         if solved is not None:
             return solved[0]
     zero = np.zeros(arrangement.size)
-    alone = None
-    if len(task.sources) > 1:
-        alone = _finished(task, looks, first_pass(looks, arrangement, zero, task.rough_range_m, monitor), monitor)
-    if alone is None and known is None:
-        return None
-    return _with_located_photo(task, looks, alone[0] if alone else bare(arrangement), known, monitor)
+    if widest_link_deg(arrangement.poses(zero)) > ALONE_STEP_DEG or len(task.sources) == 1:
+        # Too far apart without the photo between them: it is located from the priors as they are.
+        return None if known is None else _with_located_photo(task, looks, bare(arrangement), known, monitor)
+    alone = _finished(task, looks, first_pass(looks, arrangement, zero, task.rough_range_m, monitor), monitor)
+    return None if alone is None else _with_located_photo(task, looks, alone[0], known, monitor)
 
 
 def _finished(task: Task, looks: Looks, rough: Structure | None, monitor: Monitor) -> tuple[Structure, Followed] | None:
