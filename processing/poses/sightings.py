@@ -79,9 +79,10 @@ class Followed:
         """All of them."""
         return {pair: self.fraction(pair) for pair in self.found}
 
-    def into(self, view: int) -> int:
-        """Corners found in a view."""
-        return sum(n for (_, i), n in self.found.items() if i == view)
+    @property
+    def total(self) -> int:
+        """Corners found in all views together."""
+        return sum(self.found.values())
 
 
 def follow_all(

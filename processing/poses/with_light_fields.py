@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lfrig.contracts.progress import Monitor
+from lfrig.contracts.errors import GeometryRefused
+from lfrig.contracts.progress import Monitor, Notice
 from lfrig.processing.geometry import world_points
 from lfrig.processing.model import Evidence, LightField, Photo, RigPrior, ScaleFit
 from lfrig.processing.poses import gate
@@ -39,9 +40,20 @@ from lfrig.processing.poses.tracks import Observations
 from lfrig.processing.poses.with_prior import solve_with_prior
 
 MAX_TRIED = 2
+SURE_NOISE_PX = 0.1
+"""Aligned patches of a right geometry agree to 0.04–0.08 px; above this another start is tried as well."""
+
 ALONE_STEP_DEG = 25.0
 UNRECORDED_SIGMA = 0.3
 """Sigma of a line that is not recorded but fitted to points: nothing is known beforehand."""
+
+
+@dataclass(frozen=True)
+class Solved:
+    """A solution, and the matches that it rests on."""
+
+    structure: Structure
+    followed: Followed
 
 
 @dataclass(frozen=True)
@@ -81,16 +93,41 @@ def solve_with_light_fields(task: Task, monitor: Monitor) -> tuple[str, Structur
     expected = arrangement.poses(np.zeros(arrangement.size))
     gate.refuse_identical_poses(expected, task.names, task.depth_range_m[0])
     solved = _by_light_fields(task, looks, arrangement, monitor)
-    if solved is not None:
-        return "lf", solved
-    _refuse_wrong_direction(task, looks, arrangement, monitor)
-    fallback = solve_with_prior(
+    if solved is not None and solved.structure.noise_px < SURE_NOISE_PX:
+        return "lf", solved.structure
+    if solved is None:
+        _refuse_wrong_direction(task, looks, arrangement, monitor)
+        kind, other = _from_motion(task, looks, lines, monitor)
+        return kind, other.structure
+    return "lf", _better(task, looks, lines, solved, monitor).structure
+
+
+def _better(task: Task, looks: Looks, lines: Sequence[Line | None], solved: Solved, monitor: Monitor) -> Solved:
+    """The solution, or the one that starts from structure from motion if more corners are found in it.
+
+    Texture that repeats can hold a wrong geometry within every gate; what it lacks is matches.
+    """
+    silent = Monitor()
+    try:
+        kind, other = _from_motion(task, looks, lines, silent)
+    except GeometryRefused:
+        return solved
+    if kind != "lf" or other.followed.total <= solved.followed.total:
+        return solved
+    for notice in silent.notices:
+        monitor.warn(notice.code, notice.message)
+    return other
+
+
+def _from_motion(task: Task, looks: Looks, lines: Sequence[Line | None], monitor: Monitor) -> tuple[str, Solved]:
+    """Structure from motion and the second pass on it."""
+    first = solve_with_prior(
         "colmap-turntable", task.sources, task.evidence, task.features(), task.target, task.prior, monitor
     )
-    return _polished(task, looks, lines, fallback, monitor)
+    return _polished(task, looks, lines, first, monitor)
 
 
-def _by_light_fields(task: Task, looks: Looks, arrangement: Arrangement, monitor: Monitor) -> Structure | None:
+def _by_light_fields(task: Task, looks: Looks, arrangement: Arrangement, monitor: Monitor) -> Solved | None:
     """Both passes, with the photo where its mount puts it, else where its SIFT features do; None when the gate is not
     passed.
     """
@@ -102,21 +139,22 @@ def _by_light_fields(task: Task, looks: Looks, arrangement: Arrangement, monitor
         rough = first_pass(looks, whole, np.zeros(whole.size), task.rough_range_m, monitor)
         solved = _finished(task, looks, rough, monitor)
         if solved is not None:
-            return solved[0]
+            return solved
     zero = np.zeros(arrangement.size)
     if widest_link_deg(arrangement.poses(zero)) > ALONE_STEP_DEG or len(task.sources) == 1:
         # Too far apart without the photo between them: it is located from the priors as they are.
         return None if known is None else _with_located_photo(task, looks, bare(arrangement), known, monitor)
     alone = _finished(task, looks, first_pass(looks, arrangement, zero, task.rough_range_m, monitor), monitor)
-    return None if alone is None else _with_located_photo(task, looks, alone[0], known, monitor)
+    return None if alone is None else _with_located_photo(task, looks, alone.structure, known, monitor)
 
 
-def _finished(task: Task, looks: Looks, rough: Structure | None, monitor: Monitor) -> tuple[Structure, Followed] | None:
+def _finished(task: Task, looks: Looks, rough: Structure | None, monitor: Monitor) -> Solved | None:
     """The second pass, when the gate is passed."""
     if rough is None:
         return None
     solved, followed = second_pass(looks, rough, task.depth_range_m, monitor)
-    return None if gate.doubts(solved, followed.fractions(), task.prior.turntable_sigma_deg) else (solved, followed)
+    doubted = gate.doubts(solved, followed.fractions(), task.prior.turntable_sigma_deg)
+    return None if doubted else Solved(solved, followed)
 
 
 def _refuse_wrong_direction(task: Task, looks: Looks, arrangement: Arrangement, monitor: Monitor) -> None:
@@ -139,22 +177,20 @@ def bare(arrangement: Arrangement) -> Structure:
 
 def _with_located_photo(
     task: Task, looks: Looks, alone: Structure, known: PhotoPrior | None, monitor: Monitor
-) -> Structure | None:
+) -> Solved | None:
     """The photo joined where its SIFT features put it: of several hypotheses that in which most corners are found."""
-    best, most = None, 0
+    best, notices = None, list[Notice]()
     for located in hypotheses(task, alone)[:MAX_TRIED]:
         silent = Monitor()
         joined: Structure | None = join_located(alone, located, task.target, known, silent)
         if joined is not None and not alone.seen.count:
             joined = first_pass(looks, joined.arrangement, joined.parameters, task.rough_range_m, monitor)
         solved = _finished(task, looks, joined, monitor)
-        if solved is not None and solved[1].into(len(task.sources)) > most:
-            best, most = (solved[0], silent.notices), solved[1].into(len(task.sources))
-    if best is None:
-        return None
-    for notice in best[1]:
+        if solved is not None and (best is None or solved.followed.total > best.followed.total):
+            best, notices = solved, silent.notices
+    for notice in notices:
         monitor.warn(notice.code, notice.message)
-    return best[0]
+    return best
 
 
 def hypotheses(task: Task, solved: Structure) -> list[Located]:
@@ -184,7 +220,7 @@ def hypotheses(task: Task, solved: Structure) -> list[Located]:
 
 def _polished(
     task: Task, looks: Looks, lines: Sequence[Line | None], first: Structure, monitor: Monitor
-) -> tuple[str, Structure]:
+) -> tuple[str, Solved]:
     """The second pass on what structure from motion found; dropped where it would lose a view."""
     guide = Guide(task.sources, task.evidence, task.depth_range_m, True)
     found = [guide.fitted_line(first, v) for v in range(len(task.sources))]
@@ -207,8 +243,8 @@ def _polished(
     doubted = gate.doubts(solved, followed.fractions(), None)
     if doubted:
         gate.warn_of_unconfirmed(doubted, followed.fractions(), task.names, task.target.id, monitor)
-        return "colmap-turntable", first
-    return "lf", solved
+        return "colmap-turntable", Solved(first, followed)
+    return "lf", Solved(solved, followed)
 
 
 def solved_scales(structure: Structure, sources: int) -> tuple[ScaleFit | None, ...]:
