@@ -34,15 +34,15 @@ class PlainSettings:
     """How fast blur and window grow per grey level of noise."""
     clearance_px: int = 6
     """Distance kept from edges."""
-    edge_grey: float = 1.5
+    edge_grey: float = 0.8
     """Gradient per pixel, lightly blurred, up to which nothing is an edge (on clean views)."""
     edge_per_noise: float = 1.0
     """How much higher that limit is per grey level of noise."""
     noise_grey: float = 0.05
     """Standard deviation of the blurred views on clean views: what rounding leaves."""
-    reach: float = 1.0
+    reach: float = 0.7
     """Shift between the outermost views and the centre, in blurs, up to which shading counts as straight."""
-    misfit: float = 1.0
+    misfit: float = 0.5
     """Up to this multiple of the noise variance, views may differ from the constraint."""
     cap_grey: float = 0.7
     """The most that a plane is charged [grey levels of matching cost]."""

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfrig.processing.model import F64, Camera, Pose
-from lfrig.processing.poses.arrangement import LOCAL, Arrangement
+from lfrig.processing.poses.arrangement import LOCAL, Arrangement, Line
 from lfrig.processing.poses.tracks import Observations
 from lfrig.processing.poses.triangulate import stack
 
@@ -30,22 +30,23 @@ class Linear:
     """A block of residuals at one state, M sightings of k numbers each, in units of their sigma.
 
     ``point`` and ``view`` int64 [M]; ``residual`` float64 [M, k]; ``d_local`` float64 [M, k, 3], by the point in the
-    camera's frame; ``d_log_focal`` float64 [M, k].
+    camera's frame; ``d_inner`` float64 [M, k, 3], by the logarithms of focal length, baseline and inverse focus
+    distance.
     """
 
     point: NDArray[np.int64]
     view: NDArray[np.int64]
     residual: F64
     d_local: F64
-    d_log_focal: F64
+    d_inner: F64
 
 
 class ResidualBlock(Protocol):
-    """One kind of measurement. Reprojection is the one so far; the disparity of each light field at its sightings
-    (with log a and c of its scale as further local parameters) is the next.
-    """
+    """One kind of measurement."""
 
-    def linearise(self, cameras: Sequence[Camera], poses: Sequence[Pose], points: F64) -> Linear:
+    def linearise(
+        self, cameras: Sequence[Camera], poses: Sequence[Pose], points: F64, lines: Sequence[Line | None] = ()
+    ) -> Linear:
         """Residuals and derivatives at a state."""
         ...
 
@@ -57,7 +58,9 @@ class Reprojection:
     seen: Observations
     sigma_px: F64
 
-    def linearise(self, cameras: Sequence[Camera], poses: Sequence[Pose], points: F64) -> Linear:
+    def linearise(
+        self, cameras: Sequence[Camera], poses: Sequence[Pose], points: F64, lines: Sequence[Line | None] = ()
+    ) -> Linear:
         """See `ResidualBlock`."""
         view = self.seen.view
         focal, principal, rotation, translation = stack(cameras, poses)
@@ -71,7 +74,37 @@ class Reprojection:
         d_local = np.zeros((len(view), 2, 3))
         d_local[:, 0, 0] = d_local[:, 1, 1] = scale
         d_local[:, :, 2] = -slope * scale[:, None]
-        return Linear(self.seen.point, view, residual, d_local, slope * (f / self.sigma_px)[:, None])
+        d_inner = np.zeros((len(view), 2, 3))
+        d_inner[:, :, 0] = slope * (f / self.sigma_px)[:, None]
+        return Linear(self.seen.point, view, residual, d_local, d_inner)
+
+
+@dataclass(frozen=True)
+class Disparity:
+    """Light-field disparity of points in views that have a line: ``point`` and ``view`` int64 [M], ``disparity`` and
+    ``sigma`` float64 [M] px per view step. A light field says nothing across its rays, but how far along.
+    """
+
+    point: NDArray[np.int64]
+    view: NDArray[np.int64]
+    disparity: F64
+    sigma: F64
+
+    def linearise(
+        self, cameras: Sequence[Camera], poses: Sequence[Pose], points: F64, lines: Sequence[Line | None] = ()
+    ) -> Linear:
+        """See `ResidualBlock`."""
+        view = self.view
+        focal, _, rotation, translation = stack(cameras, poses)
+        depth = np.einsum("mb,mb->m", rotation[view, 2], points[self.point]) + translation[view, 2]
+        inverse = 1 / np.maximum(depth, 1e-6)
+        slope = (focal * [0.0 if line is None else line.baseline_m for line in lines])[view] / self.sigma
+        offset = np.array([0.0 if line is None else line.inverse_focus for line in lines])[view]
+        expected = slope * (inverse - offset)
+        d_local = np.zeros((len(view), 1, 3))
+        d_local[:, 0, 2] = -slope * inverse**2
+        d_inner = np.stack([expected, expected, -slope * offset], 1)[:, None, :]
+        return Linear(self.point, view, (expected - self.disparity / self.sigma)[:, None], d_local, d_inner)
 
 
 @dataclass(frozen=True)
@@ -125,7 +158,8 @@ class _System:
         self.arrangement, self.x, self.points = arrangement, x, points
         self.poses = arrangement.poses(x)
         cameras = arrangement.cameras(x)
-        self.linear = [block.linearise(cameras, self.poses, points) for block in blocks]
+        lines = arrangement.lines(x)
+        self.linear = [block.linearise(cameras, self.poses, points, lines) for block in blocks]
         squared = [(part.residual**2).sum(1) for part in self.linear]
         self.weight = [1 / (1 + s / CAUCHY**2) for s in squared]
         self.cost = sum(float((CAUCHY**2 * np.log1p(s / CAUCHY**2)).sum()) for s in squared)
@@ -134,7 +168,7 @@ class _System:
     def _normal(self) -> tuple[F64, F64, F64, F64, F64]:
         """Weighted normal equations in local parameters and points.
 
-        U [V, 7, 7], its right side [V, 7]; P [N, 3, 3], its right side [N, 3]; mixed W [N, V, 7, 3].
+        U [V, L, L], its right side [V, L]; P [N, 3, 3], its right side [N, 3]; mixed W [N, V, L, 3].
         """
         views, n = len(self.poses), len(self.points)
         u, gu = np.zeros((views, LOCAL, LOCAL)), np.zeros((views, LOCAL))
@@ -146,7 +180,7 @@ class _System:
                 point = part.point[rows]
                 turned = self.points[point] @ self.poses[v].rotation.T + self.poses[v].translation
                 d_local = part.d_local[rows]
-                d_view = np.concatenate([_cross(turned, d_local), d_local, part.d_log_focal[rows][:, :, None]], axis=2)
+                d_view = np.concatenate([_cross(turned, d_local), d_local, part.d_inner[rows]], axis=2)
                 d_point = d_local @ self.poses[v].rotation
                 weighted = d_view * weight[rows, None, None]
                 u[v] += np.einsum("mka,mkb->ab", weighted, d_view)
@@ -158,7 +192,7 @@ class _System:
         return u, gu, p, gp, mixed
 
     def _reduced(self, damping: float) -> tuple[F64, F64, F64, F64, F64]:
-        """Schur complement in local parameters [7 V, 7 V], its right side, and what restores the points."""
+        """Schur complement in local parameters [L V, L V], its right side, and what restores the points."""
         u, gu, p, gp, mixed = self._normal()
         views, n = len(self.poses), len(self.points)
         diagonal = np.einsum("naa->na", p)

@@ -39,7 +39,8 @@ def collect_anchors(structure: Structure, sources: int, evidence: Sequence[Evide
     for v in range(sources):
         rows = np.flatnonzero((seen.view == v) & good[seen.point])
         confirmed = rows[sightings[seen.point[rows]] >= 3]
-        if len(confirmed) >= ENOUGH_CONFIRMED:
+        # Where light fields took part they have confirmed every point.
+        if seen.disparity is None and len(confirmed) >= ENOUGH_CONFIRMED:
             rows = confirmed
         anchors.append(Anchors(seen.xy[rows], depth[rows], structure.points[seen.point[rows]]))
     return tuple(anchors)

@@ -12,18 +12,45 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lfrig.processing.geometry import rotation_z
-from lfrig.processing.model import F64, Camera, Pose
+from lfrig.processing.model import F64, Camera, Pose, ScaleFit
 
-LOCAL = 7
-"""Parameters that a residual of one view sees: rotation (3) and translation (3) applied on the left, log focal."""
+LOCAL = 9
+"""Parameters that a residual of one view sees: rotation (3) and translation (3) applied on the left, and the logarithms
+of focal length, baseline and inverse focus distance."""
 
 BLUNDER = 4.0
-"""Beyond this many sigmas a turntable angle or a focal length counts as a blunder and loses its pull (Cauchy)."""
+"""Beyond this many sigmas a turntable angle, a focal length or recorded optics count as a blunder and lose their pull
+(Cauchy)."""
+
+
+@dataclass(frozen=True)
+class Line:
+    """Disparity by depth, ``δ = b F (1/z − c)`` [px per view step]: baseline b [m], inverse focus distance c [1/m], and
+    the relative standard deviation of each (0 = held).
+    """
+
+    baseline_m: float
+    inverse_focus: float
+    sigma: float = 0.0
+
+    @classmethod
+    def of_scale(cls, scale: ScaleFit, camera: Camera, sigma: float) -> Line:
+        """The line of a fitted scale ``1/z = a δ + c``."""
+        return cls(1 / (scale.a * camera.focal_px), scale.c, sigma)
+
+    def scale(self, camera: Camera) -> ScaleFit:
+        """As ``1/z = a δ + c``."""
+        return ScaleFit(1 / (self.baseline_m * camera.focal_px), self.inverse_focus)
 
 
 @dataclass(frozen=True)
 class Viewpoint:
-    """One view: its camera (with ``sigma_focal``), its mount, the plate's angle, and how far it may stray."""
+    """One view: its camera (with ``sigma_focal``), its mount, the plate's angle, how far it may stray, and for a light
+    field its line.
+
+    ``sigma_wobble_z_m`` is the wobble along the optical axis where it exceeds the others: zoom and focus move the
+    entrance pupil.
+    """
 
     camera: Camera
     mount: int
@@ -31,12 +58,15 @@ class Viewpoint:
     sigma_angle_deg: float = 0.0
     sigma_wobble_deg: float = 0.0
     sigma_wobble_m: float = 0.0
+    sigma_wobble_z_m: float = 0.0
+    line: Line | None = None
 
 
 @dataclass(frozen=True)
 class Arrangement:
     """The prior: poses of the mounts (with sigmas) and the views on them. Parameters are one vector:
-    mount corrections [6 G], turns [V] (rad), wobbles [6 V], log focals [V].
+    mount corrections [6 G], turns [V] (rad), wobbles [6 V], log focals [V], and log baselines and inverse focus
+    distances [2 V].
     """
 
     mounts: tuple[Pose, ...]
@@ -45,7 +75,7 @@ class Arrangement:
     @property
     def size(self) -> int:
         """Number of parameters, held ones included."""
-        return 6 * len(self.mounts) + 8 * len(self.views)
+        return 6 * len(self.mounts) + 10 * len(self.views)
 
     @property
     def turns(self) -> slice:
@@ -56,7 +86,13 @@ class Arrangement:
     @property
     def log_focals(self) -> slice:
         """Where the logarithms of the focal corrections are."""
-        return slice(self.size - len(self.views), self.size)
+        start = self.turns.stop + 6 * len(self.views)
+        return slice(start, start + len(self.views))
+
+    @property
+    def log_lines(self) -> slice:
+        """Where the logarithms of the lines' corrections are, two per view."""
+        return slice(self.log_focals.stop, self.size)
 
     def wobble(self, view: int) -> slice:
         """Where the wobble of a view is."""
@@ -70,14 +106,21 @@ class Arrangement:
             sigma[6 * g : 6 * g + 6] = [np.deg2rad(mount.sigma_deg)] * 3 + [mount.sigma_m] * 3
         for v, view in enumerate(self.views):
             sigma[self.turns.start + v] = np.deg2rad(view.sigma_angle_deg)
-            sigma[self.wobble(v)] = [np.deg2rad(view.sigma_wobble_deg)] * 3 + [view.sigma_wobble_m] * 3
+            along = max(view.sigma_wobble_m, view.sigma_wobble_z_m)
+            sigma[self.wobble(v)] = [np.deg2rad(view.sigma_wobble_deg)] * 3 + [view.sigma_wobble_m] * 2 + [along]
             sigma[self.log_focals.start + v] = view.camera.sigma_focal
+            if view.line is not None:
+                sigma[self.log_lines][2 * v : 2 * v + 2] = view.line.sigma
         return sigma
+
+    @property
+    def _heavy_tailed(self) -> tuple[slice, ...]:
+        return self.turns, self.log_focals, self.log_lines
 
     def precision(self, x: F64, sigma: F64) -> F64:
         """1/σ² of the prior on every free parameter at x [n]; a blunder pulls less."""
         weight = 1 / sigma**2
-        for part in (self.turns, self.log_focals):
+        for part in self._heavy_tailed:
             weight[part] /= 1 + (x[part] / (BLUNDER * sigma[part])) ** 2
         return weight
 
@@ -86,7 +129,7 @@ class Arrangement:
         free = sigma > 0
         squared = np.zeros(len(x))
         squared[free] = (x[free] / sigma[free]) ** 2
-        for part in (self.turns, self.log_focals):
+        for part in self._heavy_tailed:
             squared[part] = BLUNDER**2 * np.log1p(squared[part] / BLUNDER**2)
         return float(squared.sum())
 
@@ -100,6 +143,19 @@ class Arrangement:
         return tuple(
             replace(view.camera, focal_px=view.camera.focal_px * float(s))
             for view, s in zip(self.views, scale, strict=True)
+        )
+
+    def lines(self, x: F64) -> tuple[Line | None, ...]:
+        """Lines at parameters x."""
+        change = np.exp(x[self.log_lines])
+        return tuple(
+            view.line
+            and Line(
+                view.line.baseline_m * float(change[2 * v]),
+                view.line.inverse_focus * float(change[2 * v + 1]),
+                view.line.sigma,
+            )
+            for v, view in enumerate(self.views)
         )
 
     def _chain(self, x: F64, v: int) -> tuple[Pose, Pose]:
@@ -124,6 +180,7 @@ class Arrangement:
             table[v, :6, self.turns.start + v] = lift @ np.r_[axis, -np.cross(axis, before.translation)]
             table[v, :6, self.wobble(v)] = motion_derivative(wobble)
             table[v, 6, self.log_focals.start + v] = 1.0
+            table[v, [7, 8], [self.log_lines.start + 2 * v, self.log_lines.start + 2 * v + 1]] = 1.0
         return table
 
     def start_at(self, x: F64, view: int, pose: Pose) -> F64:

@@ -30,7 +30,8 @@ def locate(
     last = len(features) - 1
     matches = {i: m for (i, j), m in unguided.items() if j == last}
     theirs = dict(enumerate(features[:-1]))
-    return locate_photo(coarse, theirs, features[-1], matches, known_camera(target))
+    found = locate_photo(coarse, theirs, features[-1], matches, known_camera(target))
+    return found[0] if found else None
 
 
 def join_located(
@@ -64,6 +65,8 @@ def with_view(coarse: Structure, joint: Arrangement) -> Structure:
         x[joint.turns.start + v] = coarse.parameters[old.turns.start + v]
         x[joint.wobble(v)] = coarse.parameters[old.wobble(v)]
         x[joint.log_focals.start + v] = coarse.parameters[old.log_focals.start + v]
+    lines = coarse.parameters[old.log_lines]
+    x[joint.log_lines][: len(lines)] = lines
     return replace(coarse, arrangement=joint, parameters=x)
 
 

@@ -16,6 +16,11 @@ WOBBLE_DEG = 0.02
 WOBBLE_M = 0.0002
 """How far a view may lie off the circle of the turntable: bearing play, and the pupil's shift with zoom."""
 
+PUPIL_SHIFT_M = 0.002
+SAME_SETTINGS = 0.01
+"""A zoom moves the entrance pupil along the axis by millimetres: that much is allowed where recorded focal lengths or
+focus distances differ by more than this fraction."""
+
 PAIR_LIMIT_DEG = 46.0
 """Views further apart share next to nothing; up to here their few matches, guided, tie the whole together."""
 
@@ -46,14 +51,28 @@ def given_arrangement(sources: Sequence[LightField]) -> Arrangement:
     )
 
 
-def turntable_arrangement(sources: Sequence[LightField], prior: RigPrior) -> Arrangement:
-    """All sources on one mount in front of the plate, each at its angle."""
+def turntable_arrangement(
+    sources: Sequence[LightField], prior: RigPrior, pupil_shift_m: float = WOBBLE_M
+) -> Arrangement:
+    """All sources on one mount in front of the plate, each at its angle.
+
+    ``pupil_shift_m`` is how far zoom and focus may have moved the pupil where the settings differ. Without the light
+    fields' word on depth, room for it costs more than it is worth.
+    """
     assert prior.light_field_from_plate is not None
+    along = pupil_shift_m if settings_differ(sources) else WOBBLE_M
     views = [
-        Viewpoint(known_camera(s), 0, s.turntable_deg or 0.0, prior.turntable_sigma_deg, WOBBLE_DEG, WOBBLE_M)
+        Viewpoint(known_camera(s), 0, s.turntable_deg or 0.0, prior.turntable_sigma_deg, WOBBLE_DEG, WOBBLE_M, along)
         for s in sources
     ]
     return Arrangement((prior.light_field_from_plate,), tuple(views))
+
+
+def settings_differ(sources: Sequence[LightField]) -> bool:
+    """Whether the lens was zoomed or focused between captures, as far as recorded."""
+    focals = [s.camera.focal_px / s.width for s in sources if s.camera is not None]
+    focus = [s.optics.focus_distance_m for s in sources if s.optics.focus_distance_m is not None]
+    return any(len(v) > 1 and max(v) / min(v) > 1 + SAME_SETTINGS for v in (focals, focus))
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from lfrig.processing.model import Anchors, Camera, Pose
+from lfrig.processing.model import Anchors, Camera, Pose, ScaleFit
 
 PoseMethod = Literal["auto", "lf", "colmap", "given"]
 
@@ -17,7 +17,8 @@ class PoseSolution:
     Attributes
     ----------
     method : str
-        ``given``, ``colmap-turntable`` (structure from motion with the rig's prior) or ``colmap`` (without).
+        ``given``, ``lf`` (light-field-aware, with the rig's prior), ``colmap-turntable`` (structure from motion with
+        that prior) or ``colmap`` (without).
     poses, cameras : tuple
         Of the sources, in their order; cameras with refined focal lengths.
     anchors : tuple of Anchors
@@ -28,6 +29,8 @@ class PoseSolution:
         Of the photo.
     metric : bool
         Whether lengths are metres; else they are in a gauge of their own.
+    scales : tuple of (ScaleFit or None)
+        Each source's ``1/z = a δ + c`` as solved together with the poses; None where light fields took no part.
     """
 
     method: str
@@ -38,3 +41,4 @@ class PoseSolution:
     target_pose: Pose
     target_camera: Camera
     metric: bool
+    scales: tuple[ScaleFit | None, ...] = ()

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Sequence
+import functools
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from lfrig.contracts.errors import BadInput, GeometryRefused, NotInThisVersion, UsageError
+from lfrig.contracts.errors import BadInput, GeometryRefused, UsageError
 from lfrig.contracts.progress import Monitor
 from lfrig.processing.model import F64, Anchors, Evidence, LightField, Photo, Pose, RigPrior
 from lfrig.processing.poses import gate
@@ -18,6 +19,7 @@ from lfrig.processing.poses.matching import Gallery
 from lfrig.processing.poses.priors import has_turntable_prior, photo_prior
 from lfrig.processing.poses.solution import PoseMethod, PoseSolution
 from lfrig.processing.poses.structure import Structure
+from lfrig.processing.poses.with_light_fields import Task, solve_with_light_fields, solved_scales
 from lfrig.processing.poses.with_prior import solve_with_prior
 from lfrig.processing.poses.without_prior import solve_without_prior
 
@@ -39,41 +41,51 @@ def solve_poses(
     evidence : sequence of Evidence
         One per source; its disparity weeds out anchors that the light field contradicts.
     method : {"auto", "given", "colmap", "lf"}
-        ``auto``: given poses when every source has one; else structure from motion, with the turntable's prior when
-        every source has an angle and the mount is known. ``colmap``: structure from motion even where poses are given.
+        ``auto``: given poses when every source has one; else by the light fields when every source has an angle and the
+        mount is known; else structure from motion. ``lf`` and ``colmap``: those two even where poses are given, the
+        latter with the turntable's prior where there is one.
     threads : int
         0 = all cores. The result does not depend on it.
 
     Raises
     ------
-    NotInThisVersion
-        ``lf``.
     BadInput
-        ``given`` without a pose for every source, or no source.
+        ``given`` without a pose for every source, ``lf`` without mount or angles, or no source.
     GeometryRefused
         Identical poses, duplicate captures, too few matches, contradicted turntable angles, no overlap with the photo.
     """
     kind = choose_method(sources, target, prior, method)
     with _opencv_threads(threads), monitor.task("poses", len(sources) + 2):
-        found = []
-        for picture in (*(s.centre_view for s in sources), target.image8):
-            found.append(extract_features(np.ascontiguousarray(picture)))
-            monitor.advance()
-        features = Gallery(found)
-        if kind == "colmap":
-            structure = solve_without_prior(sources, evidence, features, target, monitor)
+        features = _lazy_features(sources, target, monitor)
+        if kind == "lf":
+            task = Task(sources, evidence, target, prior, features)
+            kind, structure = solve_with_light_fields(task, monitor)
+        elif kind == "colmap":
+            structure = solve_without_prior(sources, evidence, features(), target, monitor)
         else:
-            structure = solve_with_prior(kind, sources, evidence, features, target, prior, monitor)
+            structure = solve_with_prior(kind, sources, evidence, features(), target, prior, monitor)
         monitor.advance()
         return _solution(kind, structure, sources, evidence, target, monitor)
 
 
+def _lazy_features(sources: Sequence[LightField], target: Photo, monitor: Monitor) -> Callable[[], Gallery]:
+    """SIFT features of all views, the photo's last, found when first asked for."""
+
+    @functools.cache
+    def found() -> Gallery:
+        features = []
+        for picture in (*(s.centre_view for s in sources), target.image8):
+            features.append(extract_features(np.ascontiguousarray(picture)))
+            monitor.advance(0)
+        return Gallery(features)
+
+    return found
+
+
 def choose_method(sources: Sequence[LightField], target: Photo, prior: RigPrior, method: PoseMethod) -> str:
-    """``given``, ``colmap-turntable`` or ``colmap``."""
-    if method == "lf":
-        raise NotInThisVersion("--poses lf", remedy="use --poses auto")
-    if method not in ("auto", "given", "colmap"):
-        raise UsageError(f"unknown pose method '{method}'", remedy="one of auto, given, colmap")
+    """``given``, ``lf``, ``colmap-turntable`` or ``colmap``."""
+    if method not in ("auto", "lf", "given", "colmap"):
+        raise UsageError(f"unknown pose method '{method}'", remedy="one of auto, lf, given, colmap")
     if not sources:
         raise BadInput("no source: at least one light field is needed", code="no-source", remedy="ingest one")
     missing = [s.id for s in sources if s.pose is None]
@@ -90,9 +102,28 @@ def choose_method(sources: Sequence[LightField], target: Photo, prior: RigPrior,
             code="one-source-no-photo-pose",
             remedy="give the photo's pose, add a source, or use --poses colmap",
         )
-    if method != "colmap" and not missing and not alone:
+    if method in ("auto", "given") and not missing and not alone:
         return "given"
-    return "colmap-turntable" if has_turntable_prior(sources, prior) and not alone else "colmap"
+    if not has_turntable_prior(sources, prior) or alone:
+        if method == "lf":
+            raise _no_prior_for_light_fields(sources, prior, target)
+        return "colmap"
+    return "colmap-turntable" if method == "colmap" else "lf"
+
+
+def _no_prior_for_light_fields(sources: Sequence[LightField], prior: RigPrior, target: Photo) -> BadInput:
+    """Why --poses lf cannot be: what is missing."""
+    missing = next((s.id for s in sources if s.turntable_deg is None), None)
+    if prior.light_field_from_plate is None:
+        path, what = "session", "the rig's light-field camera has no camera_from_plate"
+    elif missing is not None:
+        path, what = f"capture {missing}", "has no turntable_deg"
+    else:
+        path, what = f"photo {target.id}", "has no pose and there is one source only"
+    return BadInput(
+        f"{what}, and --poses lf starts from what the rig knows", path=path, code="no-turntable-prior",
+        remedy="record it, or use --poses auto",
+    )  # fmt: skip
 
 
 def _solution(
@@ -123,11 +154,13 @@ def _solution(
             poses = [replace(p, translation=p.translation * scale, sigma_m=p.sigma_m * scale) for p in poses]
             anchors = tuple(Anchors(a.xy, a.depth_m * scale, a.world * scale) for a in anchors)
     turned = np.rad2deg(x[arrangement.turns])
-    residual = [float(turned[v]) if kind == "colmap-turntable" else None for v in range(count)]
+    by_angle = kind in ("lf", "colmap-turntable")
+    residual = [float(turned[v]) if by_angle else None for v in range(count)]
     cameras = structure.cameras
     return PoseSolution(
-        kind, tuple(poses[:count]), cameras[:count], anchors, tuple(residual), poses[count], cameras[count], metric
-    )
+        kind, tuple(poses[:count]), cameras[:count], anchors, tuple(residual), poses[count], cameras[count], metric,
+        solved_scales(structure, count),
+    )  # fmt: skip
 
 
 def with_sigmas(structure: Structure) -> list[Pose]:

@@ -21,7 +21,7 @@ FINE_SCALE_PX = 2.0
 """Up to this keypoint scale SIFT's position error is constant; beyond, it grows in proportion (measured)."""
 
 COARSE_SCHEDULE_PX = (16.0, 4.0, 1.0)
-NOISE_BOUNDS_PX = (0.08, 1.0)
+NOISE_BOUNDS_PX = (0.04, 1.0)
 REJECT_SIGMAS = 4.0
 MIN_RAY_ANGLE_DEG = 2.0
 BAND_SIGMAS = 8.0
@@ -58,6 +58,14 @@ class Structure:
 def coarseness(seen: Observations) -> F64:
     """Position error of each sighting relative to a fine-scale keypoint's [M]."""
     return np.maximum(1.0, seen.scale / FINE_SCALE_PX)
+
+
+def common_points(structure: Structure) -> F64:
+    """How many points each two views share, float64 [V, V]."""
+    seen = structure.seen
+    shows = np.zeros((seen.count, len(structure.arrangement.views)))
+    shows[seen.point, seen.view] = 1
+    return np.asarray(shows.T @ shows, np.float64)
 
 
 def noise_of(residual: F64, seen: Observations) -> float:

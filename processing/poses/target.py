@@ -77,8 +77,8 @@ def locate_photo(
     features: Features,
     matches: Mapping[int, Matches],
     camera: Camera,
-) -> Located | None:
-    """Best supported pose of the photo, or None when there is none.
+) -> list[Located]:
+    """Possible poses of the photo, the best supported first.
 
     A camera whose focal length is unknown (a wide sigma) is tried at several.
     """
@@ -96,7 +96,7 @@ def locate_photo(
         Located(pose, trial, support(structure, source_features, features, matches, pose, trial))
         for pose, trial in candidates
     ]
-    return max(located, key=lambda h: h.support, default=None)
+    return sorted(located, key=lambda h: -h.support)
 
 
 def support(

@@ -18,7 +18,8 @@ Pair = tuple[int, int]
 @dataclass(frozen=True)
 class Observations:
     """Sightings of points, sorted by point: ``point``, ``view``, ``feature`` int64 [M]; ``xy`` float64 [M, 2] px;
-    ``scale`` float64 [M] px. Every point is seen at least twice, and at most once per view.
+    ``scale`` float64 [M] px; ``disparity`` float64 [M] px per view step, NaN where no light field tells, or None where
+    none tells of any. Every point is seen at least twice, and at most once per view.
     """
 
     point: NDArray[np.int64]
@@ -26,6 +27,7 @@ class Observations:
     feature: NDArray[np.int64]
     xy: F64
     scale: F64
+    disparity: F64 | None = None
 
     def __len__(self) -> int:
         return len(self.point)
@@ -45,10 +47,10 @@ class Observations:
         sightings = np.bincount(self.point[rows], minlength=self.count)
         rows = rows & (sightings >= 2)[self.point]
         kept, point = np.unique(self.point[rows], return_inverse=True)
+        disparity = None if self.disparity is None else self.disparity[rows]
+        point = point.reshape(-1).astype(np.int64)
         return (
-            Observations(
-                point.reshape(-1).astype(np.int64), self.view[rows], self.feature[rows], self.xy[rows], self.scale[rows]
-            ),
+            Observations(point, self.view[rows], self.feature[rows], self.xy[rows], self.scale[rows], disparity),
             kept,
         )
 

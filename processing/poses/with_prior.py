@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from lfrig.contracts.errors import GeometryRefused
 from lfrig.contracts.progress import Monitor
 from lfrig.processing.model import F64, Evidence, LightField, Photo, Pose, RigPrior
 from lfrig.processing.poses import gate
@@ -195,11 +194,7 @@ def _check_turntable(
         other = _from_matches(flipped, features, inner, guide, monitor)
         best = gate.measure_agreement(other, features, inner).best
         if min(best) > FLIP_GAIN * max(min(agreement.best[:count]), gate.MIN_AGREEMENT):
-            raise GeometryRefused(
-                "the turntable angles fit the images only with the opposite sign",
-                code="turntable-direction",
-                remedy="turntable_deg counts counter-clockwise seen from above: invert the recorded angles",
-            )
+            gate.refuse_direction()
     gate.refuse_lonely_views(agreement, names)
     gate.warn_of_doubtful_poses(agreement, names, monitor)
     turns = np.rad2deg(final.parameters[final.arrangement.turns])[:count]

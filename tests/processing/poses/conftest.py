@@ -139,6 +139,43 @@ class Shoot:
         """The leading arguments of `solve_poses`."""
         return self.sources, self.evidence, self.target, self.prior
 
+    def rotation_error_deg(self, solution) -> float:
+        """Largest error of a source's rotation relative to the first."""
+        first, true = solution.poses[0].rotation, self.true_poses[0].rotation
+        return max(
+            geometry.rotation_angle_deg(p.rotation @ first.T, t.rotation @ true.T)
+            for p, t in zip(solution.poses, self.true_poses, strict=True)
+        )
+
+    def depth_ratios(self, solution, source) -> np.ndarray:
+        """Anchor depth over true depth; of the pixels around a keypoint (they sit on edges) the one that fits best."""
+        anchors, truth = solution.anchors[source], self.depths[source]
+        x = np.clip(np.rint(anchors.xy[:, 0]).astype(int), 1, truth.shape[1] - 2)
+        y = np.clip(np.rint(anchors.xy[:, 1]).astype(int), 1, truth.shape[0] - 2)
+        around = np.stack([anchors.depth_m / truth[y + j, x + i] for i in (-1, 0, 1) for j in (-1, 0, 1)])
+        return around[np.abs(np.log(np.maximum(around, 1e-9))).argmin(0), np.arange(len(anchors))]
+
+    def target_error_px(self, solution) -> float:
+        """Median distance in the sources between where a target pixel's true point lies and where the solution puts it,
+        with the target's depths in whatever scale fits best.
+        """
+        depth = self.target_depth
+        ys, xs = np.mgrid[6 : depth.shape[0] - 6 : 9, 6 : depth.shape[1] - 6 : 9]
+        hit = np.isfinite(depth[ys, xs])
+        xy, z = np.c_[xs[hit], ys[hit]].astype(float), depth[ys[hit], xs[hit]]
+        true = geometry.world_points(self.true_target_camera, self.true_target_pose, xy, z)
+        anchors = np.concatenate([self.depth_ratios(solution, k) for k in range(len(self.sources))])
+        errors = []
+        for scale in np.median(anchors) * np.arange(0.98, 1.0201, 0.001):
+            ours = geometry.world_points(solution.target_camera, solution.target_pose, xy, z * scale)
+            in_sources = []
+            for k, pose in enumerate(solution.poses):
+                a, _ = geometry.project_points(self.true_cameras[k], self.true_poses[k], true)
+                b, _ = geometry.project_points(solution.cameras[k], pose, ours)
+                in_sources.append(np.median(np.linalg.norm(a - b, axis=1)))
+            errors.append(max(in_sources))
+        return float(min(errors))
+
 
 def shoot(
     angles_deg: tuple[float, ...] = (-15.0, 0.0, 15.0),
@@ -154,8 +191,14 @@ def shoot(
     sigma_mount_m: float = 0.0046,
     sigma_focal: float = 0.0,
     given: bool = False,
+    light_fields: bool = False,
+    sigma_optics: float = 0.03,
 ) -> Shoot:
-    """Shoot the scene at the plate angles; the priors are off by draws from their sigmas."""
+    """Shoot the scene at the plate angles; the priors are off by draws from their sigmas.
+
+    With ``light_fields`` the captures' views differ as they should, and their optics are recorded; else every view is
+    the centre view.
+    """
     rng = np.random.default_rng(seed)
     scale = width / 541
     lf_mount, photo_mount = mount(), mount(29.0, 0.5, 0.035)
@@ -166,12 +209,18 @@ def shoot(
         image = np.clip(image * (1 - 0.08 * (k % 3)) + rng.normal(0, noise, image.shape), 0, 255).astype(np.uint8)
         poses.append(pose), cameras.append(camera), depths.append(depth)
         said = replace(camera, focal_px=camera.focal_px * (1 + rng.normal(0, 1) * sigma_focal), sigma_focal=sigma_focal)
+        optics, views = Optics(), np.broadcast_to(image, (3, 3, *image.shape))
+        if light_fields:
+            error = 1 + rng.normal(0, sigma_optics, 2)
+            baseline = BASELINE_TIMES_FOCAL / camera.focal_px
+            optics = Optics(baseline * error[0], FOCUS_M * error[1], sigma_optics)
+            views = views_of(image, depth, rng, noise)
         sources.append(
             LightField(
                 f"{k:03d}",
-                np.broadcast_to(image, (3, 3, *image.shape)),
+                views,
                 said,
-                Optics(),
+                optics,
                 pose if given else None,
                 None if given else angle + rng.normal(0, sigma_angle_deg),
             )
@@ -190,10 +239,43 @@ def shoot(
     return Shoot(sources, evidence, target, prior, poses, cameras, depths, pose, camera, depth)
 
 
+def disparity_of(depth: np.ndarray) -> np.ndarray:
+    """True disparity [px per view step] of a depth map; of the background where nothing was hit."""
+    return BASELINE_TIMES_FOCAL * (1 / np.where(np.isfinite(depth), depth, 2.0) - 1 / FOCUS_M)
+
+
+def views_of(
+    image: np.ndarray, depth: np.ndarray, rng: np.random.Generator, noise: float = 0.0, rows: int = 3, cols: int = 3
+) -> np.ndarray:
+    """Views of a light field whose centre view is ``image``: uint8 [rows, cols, H, W, 3].
+
+    A view's pixel q shows what the centre view has at p = q + offset · δ(p), solved for by iteration: right wherever
+    nothing is hidden.
+    """
+    import cv2
+
+    disparity = disparity_of(depth).astype(np.float32)
+    ys, xs = np.mgrid[0 : depth.shape[0], 0 : depth.shape[1]].astype(np.float32)
+    out = np.empty((rows, cols, *image.shape), np.uint8)
+    for r in range(rows):
+        for c in range(cols):
+            dr, dc = r - (rows - 1) // 2, c - (cols - 1) // 2
+            if dr == dc == 0:
+                out[r, c] = image
+                continue
+            u, v = xs, ys
+            for _ in range(3):
+                at = cv2.remap(disparity, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+                u, v = xs + dc * at, ys + dr * at
+            # OpenCV's cubic is off by up to 0.05 px on a ramp.
+            seen = cv2.remap(image, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE).astype(np.float64)
+            out[r, c] = np.clip(seen + rng.normal(0, noise, seen.shape) + 0.5, 0, 255)
+    return out
+
+
 def evidence_of(depth: np.ndarray, rng: np.random.Generator) -> Evidence:
     """What a depth stage would say of this depth map: peak disparity with a little noise, no volume worth reading."""
-    disparity = BASELINE_TIMES_FOCAL * (1 / np.where(np.isfinite(depth), depth, 2.0) - 1 / FOCUS_M)
-    disparity = (disparity + rng.normal(0, 0.01, depth.shape)).astype(np.float32)
+    disparity = (disparity_of(depth) + rng.normal(0, 0.01, depth.shape)).astype(np.float32)
     volume = np.full((*depth.shape, 2), 0.5, np.float16)
     return Evidence(volume, (-1.0, 2.0), disparity, np.full(depth.shape, 0.9, np.float32))
 
@@ -205,10 +287,23 @@ def still() -> Shoot:
 
 
 @pytest.fixture(scope="session")
+def light_still() -> Shoot:
+    """The same as light fields, with wider priors; shared, read only."""
+    return shoot(light_fields=True, sigma_focal=0.02, sigma_angle_deg=0.5, seed=4)
+
+
+@pytest.fixture(scope="session")
 def studio():
     """The functions of this file, for tests that need their own shoot."""
     import types
 
     return types.SimpleNamespace(
-        shoot=shoot, render=render, mount=mount, disturbed=disturbed, still_life=still_life, evidence_of=evidence_of
+        shoot=shoot,
+        render=render,
+        mount=mount,
+        disturbed=disturbed,
+        still_life=still_life,
+        evidence_of=evidence_of,
+        views_of=views_of,
+        disparity_of=disparity_of,
     )

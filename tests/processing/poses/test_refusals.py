@@ -13,7 +13,9 @@ from lfrig.processing.model import Photo, Pose
 from lfrig.processing.poses import solve_poses
 
 
-def solve(shoot, method="auto", monitor=None):
+def solve(shoot, method=None, monitor=None):
+    # These light fields are copies of their centre views: nothing for the way that looks into them.
+    method = method or ("auto" if all(s.pose is not None for s in shoot.sources) else "colmap")
     return solve_poses(*shoot.arguments(), method, threads=1, monitor=monitor or Monitor())
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lfrig.contracts.errors import GeometryRefused, Interrupted, NotInThisVersion
+from lfrig.contracts.errors import GeometryRefused, Interrupted
 from lfrig.contracts.progress import Monitor
 from lfrig.processing import geometry
 from lfrig.processing.model import Camera, Optics, Pose, RigPrior
@@ -17,59 +17,21 @@ BASELINE_TIMES_FOCAL = 0.7
 FOCUS_M = 0.46
 
 
-def solve(shoot, method="auto", threads=1, monitor=None) -> PoseSolution:
+def solve(shoot, method=None, threads=1, monitor=None) -> PoseSolution:
+    # These light fields are copies of their centre views: nothing for the way that looks into them.
+    method = method or ("auto" if all(s.pose is not None for s in shoot.sources) else "colmap")
     return solve_poses(*shoot.arguments(), method, threads=threads, monitor=monitor or Monitor())
-
-
-def rotation_error_deg(solution, shoot) -> float:
-    """Largest error of a source's rotation relative to the first."""
-    first, true = solution.poses[0].rotation, shoot.true_poses[0].rotation
-    return max(
-        geometry.rotation_angle_deg(p.rotation @ first.T, t.rotation @ true.T)
-        for p, t in zip(solution.poses, shoot.true_poses, strict=True)
-    )
-
-
-def depth_ratios(solution, shoot, source) -> np.ndarray:
-    """Anchor depth over true depth; of the pixels around a keypoint the one that fits best (keypoints sit on edges)."""
-    anchors, truth = solution.anchors[source], shoot.depths[source]
-    x = np.clip(np.rint(anchors.xy[:, 0]).astype(int), 1, truth.shape[1] - 2)
-    y = np.clip(np.rint(anchors.xy[:, 1]).astype(int), 1, truth.shape[0] - 2)
-    around = np.stack([anchors.depth_m / truth[y + j, x + i] for i in (-1, 0, 1) for j in (-1, 0, 1)])
-    return around[np.abs(np.log(np.maximum(around, 1e-9))).argmin(0), np.arange(len(anchors))]
-
-
-def target_error_px(solution, shoot) -> float:
-    """Median distance in the sources between where a target pixel's true point lies and where the solution puts it,
-    with the target's depths in whatever scale fits best.
-    """
-    depth = shoot.target_depth
-    ys, xs = np.mgrid[6 : depth.shape[0] - 6 : 9, 6 : depth.shape[1] - 6 : 9]
-    hit = np.isfinite(depth[ys, xs])
-    xy, z = np.c_[xs[hit], ys[hit]].astype(float), depth[ys[hit], xs[hit]]
-    true = geometry.world_points(shoot.true_target_camera, shoot.true_target_pose, xy, z)
-    anchors = np.concatenate([depth_ratios(solution, shoot, k) for k in range(len(shoot.sources))])
-    errors = []
-    for scale in np.median(anchors) * np.arange(0.98, 1.0201, 0.001):
-        ours = geometry.world_points(solution.target_camera, solution.target_pose, xy, z * scale)
-        in_sources = []
-        for k, pose in enumerate(solution.poses):
-            a, _ = geometry.project_points(shoot.true_cameras[k], shoot.true_poses[k], true)
-            b, _ = geometry.project_points(solution.cameras[k], pose, ours)
-            in_sources.append(np.median(np.linalg.norm(a - b, axis=1)))
-        errors.append(max(in_sources))
-    return float(min(errors))
 
 
 def check_accuracy(solution, shoot, *, rotation_deg, depth, target_px) -> float:
     """Assert the bounds beyond a common scale; returns the scale."""
-    ratios = [depth_ratios(solution, shoot, k) for k in range(len(shoot.sources))]
+    ratios = [shoot.depth_ratios(solution, k) for k in range(len(shoot.sources))]
     scale = float(np.median(np.concatenate(ratios)))
-    assert rotation_error_deg(solution, shoot) < rotation_deg
+    assert shoot.rotation_error_deg(solution) < rotation_deg
     for r in ratios:
         assert np.median(np.abs(r / scale - 1)) < depth
         assert (np.abs(r / scale - 1) > 0.02).mean() < 0.1
-    assert target_error_px(solution, shoot) < target_px
+    assert shoot.target_error_px(solution) < target_px
     return scale
 
 
@@ -120,7 +82,7 @@ def test_photo_with_an_unknown_focal_length(studio):
     shoot.target = replace(shoot.target, pose=None, camera=None)
     solution = solve(shoot)
     assert solution.target_camera.focal_px == pytest.approx(shoot.true_target_camera.focal_px, rel=0.01)
-    assert target_error_px(solution, shoot) < 0.5
+    assert shoot.target_error_px(solution) < 0.5
 
 
 def moved_world(shoot, rotation, offset, scale):
@@ -188,7 +150,7 @@ def test_recorded_optics_make_it_metric(still):
     shoot = without_rig(still, Optics(focus_distance_m=FOCUS_M))
     solution = solve(shoot)
     assert solution.metric
-    ratios = np.concatenate([depth_ratios(solution, shoot, k) for k in range(3)])
+    ratios = np.concatenate([shoot.depth_ratios(solution, k) for k in range(3)])
     assert np.median(ratios) == pytest.approx(1, abs=0.02)
 
 
@@ -207,11 +169,6 @@ def test_uncertainty_is_reported(still):
     solution = solve(still)
     for pose in (*solution.poses, solution.target_pose):
         assert 0 < pose.sigma_deg < 1.5 and 0 < pose.sigma_m < 0.01
-
-
-def test_light_field_aware_poses_are_for_later(still):
-    with pytest.raises(NotInThisVersion):
-        solve(still, "lf")
 
 
 def test_cancel(still):

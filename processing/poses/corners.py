@@ -1,0 +1,119 @@
+"""Corners of a light field's centre view and their disparities, by Gauss–Newton over its own border views.
+
+The depth map answers for whole windows; a corner deserves better. Its patch is followed into eight views on the rim
+of the aperture, where a disparity has its longest lever, and the one number that moves all eight patches is solved
+for (Lucas & Kanade 1981, with the disparity as the only unknown).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lfrig.processing.model import F32, F64, U8, Evidence, LightField
+from lfrig.processing.poses.patches import Patches, cut, normalised
+
+MAX_CORNERS = 800
+QUALITY = 0.002
+"""Weakest corner accepted, as a fraction of the strongest one's smaller eigenvalue (Shi & Tomasi 1994)."""
+
+SPACING_PX = 5
+BLOCK_PX = 5
+
+DISPARITY_HALF_PX = 4
+DISPARITY_PASSES = 3
+RIM = 4
+"""Furthest view used, in view steps: the rim of a wide aperture is dark in real light fields."""
+
+ROBUST_GREY = 6.0
+MAX_STEP_PX = 0.05
+SETTLED_PX = 0.02
+MAX_CHANGE_PX = 0.06
+"""A corner whose disparity moves further than this from the depth map's is on an edge, or has no disparity."""
+
+
+@dataclass(frozen=True)
+class Corners:
+    """Corners of one centre view, strongest first: ``xy`` float64 [N, 2] px; ``disparity`` float64 [N] px per view
+    step, NaN where the light field does not tell.
+    """
+
+    xy: F64
+    disparity: F64
+
+    def __len__(self) -> int:
+        return len(self.xy)
+
+    def first(self, count: int) -> Corners:
+        """The strongest ones."""
+        return Corners(self.xy[:count], self.disparity[:count])
+
+
+def find_corners(grey: F32, limit: int = MAX_CORNERS) -> F64:
+    """Corners of a grey image float32 [H, W] after local normalisation (dim parts have theirs too), [N, 2] px."""
+    import cv2
+
+    found = cv2.goodFeaturesToTrack(normalised(grey), limit, QUALITY, SPACING_PX, blockSize=BLOCK_PX)
+    return np.zeros((0, 2)) if found is None else found.reshape(-1, 2).astype(np.float64)
+
+
+def light_field_corners(light_field: LightField, evidence: Evidence, limit: int = MAX_CORNERS) -> Corners:
+    """Corners of the centre view with their disparities."""
+    xy = find_corners(grey_of(light_field.centre_view), limit)
+    return Corners(xy, corner_disparities(light_field, evidence, xy))
+
+
+def grey_of(image: U8) -> F32:
+    """Grey image float32 [H, W] of RGB uint8 [H, W, 3]."""
+    import cv2
+
+    return np.asarray(cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2GRAY), np.float32)
+
+
+def rim_views(rows: int, cols: int, centre: tuple[int, int]) -> list[tuple[int, int]]:
+    """The (row, col) of the eight views around the centre, as far out as the aperture (or `RIM`) goes."""
+    reach = [(max(-RIM, -c), 0, min(RIM, n - 1 - c)) for n, c in zip((rows, cols), centre, strict=True)]
+    return [(centre[0] + dr, centre[1] + dc) for dr in reach[0] for dc in reach[1] if dr or dc]
+
+
+def corner_disparities(light_field: LightField, evidence: Evidence, xy: F64) -> F64:
+    """Disparities of corners [N, 2] px, float64 [N] px per view step; NaN where none is found near the depth map's.
+
+    Brightness may differ from view to view (vignetting): each patch is compared without its mean.
+    """
+    import cv2
+
+    if not len(xy):
+        return np.zeros(0)
+    at = np.rint(xy).astype(np.int64)
+    start = cv2.medianBlur(evidence.disparity, 5)[at[:, 1], at[:, 0]].astype(np.float64)
+    known = np.isfinite(start)
+    disparity = np.where(known, start, 0.0)
+    rows, cols = light_field.angular
+    centre = light_field.centre_index
+    views = rim_views(rows, cols, centre)
+    pictures = [grey_of(light_field.views[v]) for v in views]
+    reference = cut(grey_of(light_field.centre_view), xy, DISPARITY_HALF_PX)
+    step = np.zeros(len(xy))
+    for _ in range(DISPARITY_PASSES):
+        slope, right = np.full(len(xy), 1e-9), np.zeros(len(xy))
+        for (r, c), picture in zip(views, pictures, strict=True):
+            offset = np.array([c - centre[1], r - centre[0]], np.float64)
+            error, derivative = _compared(reference, picture, xy - offset * disparity[:, None], offset)
+            weight = reference.weight / (1 + (error / ROBUST_GREY) ** 2)
+            slope += np.einsum("nk,nk->n", weight * derivative, derivative)
+            right += np.einsum("nk,nk->n", weight * derivative, error)
+        step = -right / slope
+        disparity += np.clip(step, -MAX_STEP_PX, MAX_STEP_PX)
+    good = known & (np.abs(step) < SETTLED_PX) & (np.abs(disparity - start) < MAX_CHANGE_PX)
+    return np.where(good, disparity, np.nan)
+
+
+def _compared(reference: Patches, picture: F32, xy: F64, offset: F64) -> tuple[F32, F32]:
+    """Difference of patches around xy in a view from the reference's, and its derivative by disparity; [N, K] each."""
+    there = reference.sample(picture, xy)
+    error = there - reference.grey
+    error -= (error * reference.weight).sum(1, keepdims=True)
+    derivative = -(np.float32(offset[0]) * reference.slope_x + np.float32(offset[1]) * reference.slope_y)
+    return error, np.asarray(derivative, np.float32)

@@ -1,0 +1,202 @@
+"""Where corners of a light field appear in another picture: predicted by its own depth, warped, and aligned.
+
+Descriptors have to recognise a point without knowing how it will look. Here the depth map and rough poses say how:
+what is left is a shift of some pixels (pass 0: pyramidal Lucas–Kanade on the warped picture, Bouguet 2001, kept where
+the way back leads home) or of a fraction of one (pass 1), and the last digits come from `patches.align`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lfrig.processing.geometry import projection
+from lfrig.processing.model import F32, F64, Camera, Pose, ScaleFit
+from lfrig.processing.poses.corners import Corners
+from lfrig.processing.poses.patches import align, sample_points
+
+SLOPE_STEP_PX = 3.0
+MARGIN_PX = 12.0
+MIN_CORRELATION = 0.75
+MAX_SHIFT_PX = 4.0
+"""How far alignment may move a point from where it is predicted, or was flowed to."""
+
+AREA_BOUNDS = (0.25, 4.0)
+MAX_STRETCH = 2.5
+FLOW_WINDOW_PX = 17
+FLOW_LEVELS = 3
+WAY_BACK_PX = 1.5
+MIN_RESPONSE = 0.03
+MAX_COMMON_SHIFT = 0.15
+
+
+@dataclass(frozen=True)
+class Picture:
+    """One view: ``grey`` float32 [H, W] and ``even`` uint8 [H, W], the same locally normalised."""
+
+    grey: F32
+    even: NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class Relief:
+    """What a light field knows of its own depth: corners, and the smoothed ``disparity`` float32 [H, W] around them."""
+
+    corners: Corners
+    disparity: F32
+
+    def first(self, count: int) -> Relief:
+        """With the strongest corners only."""
+        return Relief(self.corners.first(count), self.disparity)
+
+
+@dataclass(frozen=True)
+class Station:
+    """A view's camera and pose."""
+
+    camera: Camera
+    pose: Pose
+
+
+@dataclass(frozen=True)
+class Warp:
+    """From pixels of a light field's centre view into another picture, through the light field's surface."""
+
+    relief: Relief
+    scale: ScaleFit
+    here: Station
+    there: Station
+    limits: tuple[float, float]
+    """Lowest and highest inverse depth [1/m]."""
+
+    def field(self) -> tuple[F32, F32]:
+        """Where every pixel goes, x and y, float32 [H, W]."""
+        disparity = self.relief.disparity
+        height, width = disparity.shape
+        inverse = np.clip(self.scale.inverse_depth(disparity), *self.limits).astype(np.float32)
+        matrix, offset = (m.astype(np.float32) for m in self._projection())
+        x, y = np.arange(width, dtype=np.float32)[None], np.arange(height, dtype=np.float32)[:, None]
+        z = np.maximum(matrix[2, 0] * x + matrix[2, 1] * y + matrix[2, 2] + offset[2] * inverse, np.float32(1e-3))
+        u = (matrix[0, 0] * x + matrix[0, 1] * y + matrix[0, 2] + offset[0] * inverse) / z
+        v = (matrix[1, 0] * x + matrix[1, 1] * y + matrix[1, 2] + offset[1] * inverse) / z
+        return u, v
+
+    def points(self, xy: F64, disparity: F64) -> tuple[F64, F64, F64]:
+        """Where points [N, 2] go, the derivative of that by xy [N, 2, 2] on the smooth surface, and the direction in
+        which they go with inverse depth, unit vectors [N, 2].
+
+        A point's own ``disparity`` [N] counts where it is finite, else the surface's.
+        """
+        surface = self.relief.disparity
+        own = np.where(np.isfinite(disparity), disparity, sample_points(surface, xy))
+        inverse = self.scale.a * own + self.scale.c
+        clipped = np.clip(inverse, *self.limits)
+        e = SLOPE_STEP_PX
+        rise = [sample_points(surface, xy + d) - sample_points(surface, xy - d) for d in ([e, 0.0], [0.0, e])]
+        slope = self.scale.a * np.stack(rise, 1).astype(np.float64) / (2 * e)
+        slope[inverse != clipped] = 0
+        matrix, offset = self._projection()
+        p = np.c_[xy, np.ones(len(xy))] @ matrix.T + clipped[:, None] * offset
+        z = np.where(np.abs(p[:, 2]) < 1e-6, 1e-6, p[:, 2])
+        there = p[:, :2] / z[:, None]
+        # dp/dx = column of the matrix + offset · dw/dx, then the quotient rule.
+        dp = matrix[None, :, :2] + offset[None, :, None] * slope[:, None, :]
+        affine = (dp[:, :2] - there[:, :, None] * dp[:, 2:]) / z[:, None, None]
+        along = (offset[:2] - there * offset[2]) / z[:, None]
+        along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
+        there[p[:, 2] <= 0] = np.nan
+        return there, affine, along
+
+    def _projection(self) -> tuple[F64, F64]:
+        return projection(self.here.camera, self.here.pose, self.there.camera, self.there.pose)
+
+
+@dataclass(frozen=True)
+class Sighted:
+    """Corners in another picture: ``xy`` float64 [N, 2] px, NaN where not found; ``likeness`` float32 [N], the
+    normalised correlation of the patches; and how many were ``expected`` inside the picture.
+    """
+
+    xy: F64
+    likeness: F32
+    expected: int
+
+    @property
+    def count(self) -> int:
+        """How many were found."""
+        return int(np.isfinite(self.xy[:, 0]).sum())
+
+
+def follow(warp: Warp, here: Picture, there: Picture, *, flow: bool) -> Sighted:
+    """Where the light field's corners appear in another picture.
+
+    With ``flow`` the prediction may be off by tens of pixels; without, by a few.
+    """
+    corners = warp.relief.corners
+    found, alike = np.full((len(corners), 2), np.nan), np.zeros(len(corners), np.float32)
+    if not len(corners):
+        return Sighted(found, alike, 0)
+    start, affine, along = warp.points(corners.xy, corners.disparity)
+    good = np.isfinite(start).all(1)
+    expected = int((good & _usable(start, affine, there.grey.shape)).sum())
+    if flow:
+        moved, kept = _flowed(warp, here, there, corners.xy)
+        height, width = here.grey.shape
+        moved = np.clip(moved, 3, [width - 4, height - 4])
+        # Where the flow says that the corner went in the warped picture, and from there on into the true one.
+        shifted, affine, along = warp.points(moved, np.full(len(moved), np.nan))
+        start, good = shifted, kept & np.isfinite(shifted).all(1)
+    good &= _usable(start, affine, there.grey.shape)
+    rows = np.flatnonzero(good)
+    if len(rows):
+        xy, likeness = align(here.grey, there.grey, corners.xy[rows], start[rows], affine[rows], along[rows])
+        near = np.linalg.norm(xy - start[rows], axis=1) < MAX_SHIFT_PX
+        keep = near & (likeness > MIN_CORRELATION)
+        found[rows[keep]], alike[rows[keep]] = xy[keep], likeness[keep]
+    return Sighted(found, alike, expected)
+
+
+def _usable(xy: F64, affine: F64, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Points inside the picture whose surroundings are neither squeezed nor stretched too much to be compared."""
+    height, width = shape
+    area = np.linalg.det(affine)
+    good = (area > AREA_BOUNDS[0]) & (area < AREA_BOUNDS[1]) & (np.abs(affine).max((1, 2)) < MAX_STRETCH)
+    inside = (xy > MARGIN_PX).all(1) & (xy < [width - MARGIN_PX, height - MARGIN_PX]).all(1)
+    return np.asarray(good & inside, np.bool_)
+
+
+def _flowed(warp: Warp, here: Picture, there: Picture, xy: F64) -> tuple[F64, NDArray[np.bool_]]:
+    """Optical flow [N, 2] px from a picture to the other one seen from its place, and which points came back home."""
+    import cv2
+
+    u, v = warp.field()
+    # The border is flat, so nothing there attracts the flow.
+    seen = cv2.remap(there.even, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=128)
+    points = xy[:, None].astype(np.float32)
+    shift = common_shift(here.even, np.asarray(seen, np.uint8))
+    flow = partial(
+        cv2.calcOpticalFlowPyrLK, winSize=(FLOW_WINDOW_PX, FLOW_WINDOW_PX), maxLevel=FLOW_LEVELS,
+        flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+    )  # fmt: skip
+    moved, forth, _ = flow(here.even, seen, points, points + shift)
+    home, back, _ = flow(seen, here.even, moved, moved - shift)
+    close = np.linalg.norm((home - points)[:, 0], axis=1) < WAY_BACK_PX
+    return moved[:, 0].astype(np.float64), np.asarray((forth[:, 0] > 0) & (back[:, 0] > 0) & close, np.bool_)
+
+
+def common_shift(first: NDArray[np.uint8], second: NDArray[np.uint8]) -> F32:
+    """How far the second picture is shifted as a whole, float32 [2] px (phase correlation at half size); zero where
+    nothing stands out.
+    """
+    import cv2
+
+    height, width = first.shape
+    size = (width // 2, height // 2)
+    a, b = (cv2.resize(p, size, interpolation=cv2.INTER_AREA).astype(np.float32) - 128 for p in (first, second))
+    (dx, dy), response = cv2.phaseCorrelate(a, b, cv2.createHanningWindow(size, cv2.CV_32F))
+    if response < MIN_RESPONSE or max(abs(dx), abs(dy)) * 2 > MAX_COMMON_SHIFT * width:
+        return np.zeros(2, np.float32)
+    return np.array([2 * dx, 2 * dy], np.float32)
