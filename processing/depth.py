@@ -4,14 +4,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from lfrig.contracts.progress import Monitor
 from lfrig.processing.dpv import DEFAULT_DPV, DpvSettings, auto_range, light_field_evidence
 from lfrig.processing.model import F32, Evidence, LightField
+from lfrig.processing.refine import DEFAULT_REFINE, RefineSettings, smooth, snap_to_edges
 
 
 @dataclass(frozen=True)
 class DepthMap:
-    """``disparity`` float32 [H, W] px per view step and ``confidence`` float32 [H, W] on the centre view."""
+    """``disparity`` float32 [H, W] px per view step and ``confidence`` float32 [H, W] on the centre view.
+
+    The disparity of ``evidence`` is that before local planes were fitted and edges were snapped to the picture's.
+    """
 
     disparity: F32
     confidence: F32
@@ -24,10 +30,11 @@ def estimate_disparity(
     disparity_range: tuple[float, float] | None = None,
     settings: DpvSettings = DEFAULT_DPV,
     *,
+    refine: RefineSettings = DEFAULT_REFINE,
     threads: int = 0,
     monitor: Monitor | None = None,
 ) -> DepthMap:
-    """Disparity of a light field's centre view.
+    """Disparity of a light field's centre view, refined as the pipeline refines its surface.
 
     ``disparity_range`` (lo, hi) in px per view step; None finds it (`dpv.auto_range`).
 
@@ -37,9 +44,15 @@ def estimate_disparity(
         Constant views, or an empty range.
     """
     monitor = monitor or Monitor()
-    with monitor.task("disparity", 2):
+    with monitor.task("disparity", 3):
         found = disparity_range or auto_range(light_field, threads=threads)
         monitor.advance()
         evidence = light_field_evidence(light_field, found, settings, threads=threads, monitor=monitor)
         monitor.advance()
-    return DepthMap(evidence.disparity, evidence.confidence, evidence, found)
+        disparity, picture = evidence.disparity, np.ascontiguousarray(light_field.centre_view)
+        if refine.smooth:
+            disparity = smooth(disparity, evidence.confidence, picture, 1.0, refine).value
+        if refine.snap:
+            disparity = snap_to_edges(disparity, picture, 1.0, refine)
+        monitor.advance()
+    return DepthMap(disparity, evidence.confidence, evidence, found)
