@@ -45,6 +45,8 @@ class FusionSettings:
     colour: bool = True
     """Compare the photo's colours with the sources' at every voxel (log pool only)."""
     colour_weight: float = 1.75
+    colour_noise_share: float = 0.2
+    """How fast that weight falls per grey level of noise: colours must not outshout light fields that noise weakens."""
     colour_sigma_grey: float = 10.0
     colour_cap: float = 3.0
     colour_unknown: float = 1.0
@@ -139,10 +141,11 @@ def _add_colours(
     threads: int,
 ) -> None:
     """Add what the colours of the photo and of every source's centre view say, in place."""
+    noise = float(np.median([source.evidence.noise_sigma for source in sources]))
+    weight = settings.colour_weight / (1 + settings.colour_noise_share * noise)
     term = ColourTerm(
-        settings.colour_weight, settings.colour_sigma_grey, settings.colour_cap, settings.colour_unknown,
-        settings.margin_px,
-    )  # fmt: skip
+        weight, settings.colour_sigma_grey, settings.colour_cap, settings.colour_unknown, settings.margin_px
+    )
     blur = settings.colour_blur_px
     own = blurred(photo, blur)
     rough = np.asarray(planes[0] + planes[1] * volume[::TONE_STRIDE, ::TONE_STRIDE].argmax(2), np.float32)
