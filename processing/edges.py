@@ -30,6 +30,9 @@ class EdgeSettings:
     cap_grey: float = 30.0
     inertia_grey: float = 10.0
     """What a change of side must win by."""
+    contradiction_grey: float = 30.0
+    """What a hypothesis is charged that floats before the surface which a source sees there."""
+    contradiction_px: float = 0.12
     margin_px: float = 0.08
     """Slack of the visibility test [px per view step of the source]."""
     guide_radius: int = 3
@@ -126,8 +129,10 @@ def _colour_costs(
         colour, seen = _look(image, land(current, source, camera, pose), settings)
         tone = fit_tone(photo, colour, seen > 0.5)
         for k, hypothesis in enumerate(hypotheses):
-            colour, seen = _look(image, land(hypothesis, source, camera, pose), settings)
+            landing = land(hypothesis, source, camera, pose)
+            colour, seen = _look(image, landing, settings)
             difference = np.abs(photo - tone.apply(colour)).mean(2)
+            difference += settings.contradiction_grey * landing.contradicted(settings.contradiction_px)
             total[k] += seen * np.minimum(difference, np.float32(settings.cap_grey))
             mass[k] += seen
     # Where nobody looks, nothing speaks for or against.

@@ -34,6 +34,12 @@ class Landing:
         hidden = (self.ahead - np.float32(margin_px)) / np.float32(0.5 * margin_px)
         return np.asarray(np.clip(1 - hidden, 0, 1) * self.inside, np.float32)
 
+    def contradicted(self, margin_px: float) -> F32:
+        """How far each point floats before what the source sees there, 0..1 float32 [H, W]."""
+        return np.asarray(
+            np.clip((-self.ahead - np.float32(margin_px)) / np.float32(0.5 * margin_px), 0, 1), np.float32
+        )
+
     def agrees(self, tolerance_px: float) -> Mask:
         """Where the source's own disparity is that of the point."""
         return np.asarray(self.inside & (np.abs(self.ahead) < tolerance_px))
