@@ -35,7 +35,7 @@ def test_shading_of_a_fraction_of_a_grey_level_gives_disparity(disparity: float)
     offsets = light_field.offsets().reshape(-1, 2)[keep]
     found = find_plain_areas(np.ascontiguousarray(grey[keep]), grey[24], offsets, 0.0, DEFAULT_PLAIN)
     inner = (slice(10, -10), slice(10, -10))
-    assert found.weight[inner].min() == 1
+    assert found.weight[inner].min() > 0.9
     assert np.median(np.abs(found.disparity[inner] - disparity)) < 0.012
 
 
