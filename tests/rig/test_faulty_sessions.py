@@ -30,9 +30,10 @@ GOOD_DEPTH = 0.045
 """Median relative error of depth that a session without a fault keeps at this small size."""
 
 AS_GOOD = 1.1
+"""How many times that of the session without the fault it may be with a fault that was corrected."""
+
 FOCAL_CORRECTED = 0.006
 """A focal length that was 15 % off comes back to about 0.3 %: its depths are less sure than recorded ones."""
-"""How many times that of the session without the fault it may be with a fault that was corrected."""
 
 BEFORE_WALL = 1.5
 """The same before a wall that does not turn: what is seen of it has no depth in the plate's world."""
