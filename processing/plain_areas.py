@@ -42,7 +42,7 @@ class PlainSettings:
     """Standard deviation of the blurred views on clean views: what rounding leaves."""
     reach: float = 0.7
     """Shift between the outermost views and the centre, in blurs, up to which shading counts as straight."""
-    misfit: float = 0.5
+    misfit: float = 2.0
     """Up to this multiple of the noise variance, views may differ from the constraint."""
     cap_grey: float = 0.7
     """The most that a plane is charged [grey levels of matching cost]."""
