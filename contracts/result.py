@@ -24,6 +24,8 @@ class TargetReport(Model):
     pose: PoseSpec | None = None
     metric: bool = True
     """False: lengths are in gauge units, because nothing gave the scale."""
+    scale_source: str = ""
+    """What gave it: ``poses``, ``mount``, ``recorded optics`` or ``gauge`` (nothing); empty in older reports."""
 
 
 class StageReport(Model):

@@ -42,6 +42,11 @@ HALF_ADVANTAGE = 0.0
 """Of the worse half, near or far: a wall or a floor that repeats may fit at a wrong place; what stands before it does
 not. Not enough to refuse by: columns and glossy patterns come down to 0.01 where everything is right."""
 
+TIED_ADVANTAGE, TIED_SHARE = 0.1, 0.3
+"""Of the worse half, from either of which two pictures are tied by what is near *and* what is far. On the tuning
+scenes, nearest neighbours at right places have advantages of 0.13 to 0.5 (among equal columns 0, and a share of 0.34),
+pictures that have only a wall in common, at the wrong one of its periods, −0.15 to 0.06 and shares up to 0.26."""
+
 DOUBTFUL_ADVANTAGE, DOUBTFUL_SHARE = 0.08, 0.5
 """On the tuning scenes, best partner of a capture: right geometry has an advantage of 0.24 to 0.75 (0.11 for a glossy
 pattern that repeats, seen by two sources 35° apart), wrong one −0.05 to 0.02 and a share below 0.25."""
@@ -77,15 +82,25 @@ class Agreement:
     def groups(self) -> list[list[int]]:
         """Sources that hang together, the photo between them included; one that cannot be judged hangs with all."""
         count = len(self.advantage)
-        linked = np.eye(count + 1, dtype=bool)
-        linked[:count] |= (self.advantage >= DOUBTFUL_ADVANTAGE) | (self.share >= DOUBTFUL_SHARE)
-        unknown = ~np.isfinite(self.advantage).any(1)
-        linked[:count][unknown] = True
-        linked |= linked.T
+        linked = (self.advantage >= DOUBTFUL_ADVANTAGE) | (self.share >= DOUBTFUL_SHARE)
+        rows = {tuple(v for v in group if v < count) for group in self._joined(linked)}
+        return [list(group) for group in sorted(rows) if group]
+
+    def tied_groups(self) -> list[list[int]]:
+        """Pictures (the photo is N) that near and far things alike tie together, whatever their other ties say."""
+        half = self.half or self
+        return self._joined((half.advantage >= TIED_ADVANTAGE) | (half.share >= TIED_SHARE))
+
+    def _joined(self, linked: NDArray[np.bool_]) -> list[list[int]]:
+        """Connected pictures by links [N, N + 1]; a source that cannot be judged is linked to all."""
+        count = len(linked)
+        table = np.eye(count + 1, dtype=bool)
+        table[:count] |= linked
+        table[:count][~np.isfinite(self.advantage).any(1)] = True
+        table |= table.T
         for _ in range(count):
-            linked = (linked.astype(np.int64) @ linked) > 0
-        rows = {tuple(np.flatnonzero(row[:count]).tolist()) for row in linked[:count]}
-        return [list(group) for group in sorted(rows)]
+            table = (table.astype(np.int64) @ table) > 0
+        return [list(group) for group in sorted({tuple(np.flatnonzero(row).tolist()) for row in table})]
 
     def _best(self, part: Any) -> tuple[float, float]:
         share, advantage = self.share[part].ravel(), self.advantage[part].ravel()

@@ -111,6 +111,8 @@ class ProcessResult:
     native: bool
     threads: int
     options: dict[str, Any]
+    scale_source: str = ""
+    """What the unit of length came from (`PoseSolution.scale_source`)."""
 
 
 def process(
@@ -207,6 +209,7 @@ def process(
         metric=solution.metric, preset=options.preset,
         native=load_native("lfrig.processing.kernels._native") is not None, threads=threads,
         options={"resolution": options.resolution, "poses": options.poses, "bit_depth": options.bit_depth},
+        scale_source=solution.scale_source,
     )  # fmt: skip
 
 

@@ -154,7 +154,7 @@ def report_document(result: ProcessResult, *, session: str | None) -> ReportDocu
         target=TargetReport(
             id=result.target.id, baseline_m=request.baseline_m, focus_distance_m=request.focus_distance_m,
             fx=light_field.camera.focal_px, width=width, height=height, rows=request.rows, cols=request.cols,
-            pose=pose_spec(result.target_pose), metric=result.metric,
+            pose=pose_spec(result.target_pose), metric=result.metric, scale_source=result.scale_source,
         ),
         poses=result.poses_method, stages=list(result.stages),
         sources=[_source_report(source) for source in result.sources],

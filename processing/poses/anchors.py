@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lfrig.processing.model import F64, Anchors, Evidence, LightField
+from lfrig.processing.model import F64, Anchors, Camera, Evidence, LightField
 from lfrig.processing.poses.guide import inverse_depth_interval, scale_line
 from lfrig.processing.poses.structure import Structure, coarseness
 from lfrig.processing.poses.triangulate import ray_angle_deg, reproject
@@ -19,6 +20,11 @@ ENOUGH_CONFIRMED = 300
 """With so many points that a third view confirms, the others are not needed: nearly every false match (5 % of those
 seen twice, 30 % on texture that repeats) is seen only twice.
 """
+
+
+SCALE_SIGMAS = 5.0
+LINE_SIGMA = 0.03
+"""Relative error of a line fitted to a light field's disparities (its pixels share their systematic errors)."""
 
 
 def collect_anchors(structure: Structure, sources: int, evidence: Sequence[Evidence]) -> tuple[Anchors, ...]:
@@ -65,21 +71,45 @@ def contradicted(xy: F64, depth: F64, evidence: Evidence) -> NDArray[np.bool_]:
     return np.asarray((1 / depth < low) | (1 / depth > high), np.bool_)
 
 
-def metric_scale(
-    anchors: Sequence[Anchors], sources: Sequence[LightField], evidence: Sequence[Evidence]
-) -> float | None:
-    """Metres per gauge unit from recorded baselines and focus distances; None when none is recorded.
+@dataclass(frozen=True)
+class ScaleEstimate:
+    """Metres per gauge unit by one recorded length of a source (``of`` names it), and its relative sigma."""
 
-    ``1/z = a δ + c`` with a = 1/(bF) and c = 1/z_f in metres: the median of what each of them says.
+    source: int
+    of: str
+    metres: float
+    sigma: float
+
+
+def scale_estimates(
+    anchors: Sequence[Anchors], cameras: Sequence[Camera], sources: Sequence[LightField], evidence: Sequence[Evidence]
+) -> list[ScaleEstimate]:
+    """What every recorded baseline and focus distance says of the scale.
+
+    ``1/z = a δ + c`` with a = 1/(bF) and c = 1/z_f in metres; ``cameras`` are the solved ones.
     """
-    ratios = []
-    for own, source, seen in zip(anchors, sources, evidence, strict=True):
+    found = []
+    for v, (own, source, seen) in enumerate(zip(anchors, sources, evidence, strict=True)):
         line = scale_line(own.xy, own.depth_m, seen)
         if line is None:
             continue
         baseline, focus = source.optics.baseline_m, source.optics.focus_distance_m
+        sigma = float(np.hypot(source.optics.sigma_baseline, LINE_SIGMA))
         if baseline is not None and source.camera is not None:
-            ratios.append(line.a * baseline * source.camera.focal_px)
+            found.append(ScaleEstimate(v, "baseline", line.a * baseline * cameras[v].focal_px, sigma))
         if focus is not None and line.c > 0:
-            ratios.append(line.c * focus)
-    return float(np.median(ratios)) if ratios else None
+            found.append(ScaleEstimate(v, "focus distance", line.c * focus, sigma))
+    return found
+
+
+def common_scale(estimates: Sequence[ScaleEstimate]) -> float:
+    """The median of the estimates."""
+    return float(np.median([e.metres for e in estimates]))
+
+
+def furthest_estimate(estimates: Sequence[ScaleEstimate]) -> ScaleEstimate | None:
+    """The one that is furthest beyond `SCALE_SIGMAS` of the median; None when all agree."""
+    scale = common_scale(estimates)
+    excess = [abs(np.log(e.metres / scale)) / e.sigma for e in estimates]
+    worst = int(np.argmax(excess))
+    return estimates[worst] if excess[worst] > SCALE_SIGMAS else None

@@ -27,6 +27,7 @@ GOOD_ANCHORS = 60
 WIDE_STEP_DEG = 25.0
 ANGLE_SIGMAS = 4.0
 FOCAL_SIGMAS = 4.0
+MIN_FOCAL_SIGMA = 0.01
 UNKNOWN_FOCAL = 0.2
 MAX_FOCAL_FACTOR = 1.4
 FOUND_SHARE = 0.4
@@ -140,6 +141,43 @@ def refuse_unstable_views(agreement: Agreement, names: Sequence[str]) -> None:
                 code="unstable-poses",
                 remedy="record the turntable's angles and mount, or poses; texture that repeats misleads without them",
             )
+
+
+def refuse_bent_lenses(structure: Structure, names: Sequence[str]) -> None:
+    """Refuse poses found without a prior that need a focal length far from the recorded one: with nothing else known,
+    it is the poses that are wrong.
+    """
+    log_focals = structure.parameters[structure.arrangement.log_focals]
+    for v, name in enumerate(names):
+        sigma = structure.arrangement.views[v].camera.sigma_focal
+        if sigma < UNKNOWN_FOCAL and abs(log_focals[v]) > FOCAL_SIGMAS * max(sigma, MIN_FOCAL_SIGMA):
+            raise GeometryRefused(
+                f"capture {name}: the poses found need a focal length {np.exp(log_focals[v]):.2f} times the recorded "
+                "one, and nothing else is known of the rig",
+                code="unstable-poses",
+                remedy="check camera.fx; record the turntable's angles and mount, or poses",
+            )
+
+
+def refuse_optics(name: str, what: str) -> None:
+    """Refuse poses found without a prior by which a capture's recorded optics contradict the others'."""
+    raise GeometryRefused(
+        f"capture {name}: its recorded {what} contradicts the depths that the poses give, and the other captures'",
+        code="unstable-poses",
+        remedy="check its optics; record the turntable's angles and mount, or poses",
+    )
+
+
+def refuse_scattered_views(groups: Sequence[Sequence[int]], names: Sequence[str]) -> None:
+    """Refuse poses found without a prior by which the views fall into groups that nothing near ties together."""
+    if len(groups) > 1:
+        listed = " and ".join(", ".join(names[v] for v in group) for group in groups)
+        raise GeometryRefused(
+            f"{listed}: every way to place them relative to each other fits only what is far away, or nothing",
+            code="unstable-poses",
+            remedy="record the turntable's angles and mount, or poses (a backdrop that repeats misleads without them), "
+            "or add captures between these",
+        )
 
 
 def warn_of_doubtful_poses(

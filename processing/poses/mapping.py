@@ -1,92 +1,98 @@
-"""Poses from images alone: COLMAP's incremental mapping, several times, and the answer that the runs agree on.
+"""Poses from images alone: COLMAP's incremental mapping, from several first pairs, and how well each answer does.
 
 Schönberger & Frahm, CVPR 2016. One run is not to be trusted on a handful of views: every run registers all images
-with a third of a pixel of error, and the rotation may still be 0.1 to 10° off, depending on the seed.
+with a third of a pixel of error, right or wrong, and where texture repeats what it comes to depends on the pair that
+it starts from. (A run's seed changes nothing: with a few hundred clean matches RANSAC finds the same inliers.) What
+tells the runs apart is how many of all matches agree with each.
 """
 
 from __future__ import annotations
 
 import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from lfrig.contracts.progress import Monitor
-from lfrig.processing.geometry import rotation_angle_deg
 from lfrig.processing.model import Camera, Pose
+from lfrig.processing.poses.epipolar import fundamental_matrix, sampson_distance
 from lfrig.processing.poses.features import Features
+from lfrig.processing.poses.gate import AGREE
 from lfrig.processing.poses.matching import Matches
 from lfrig.processing.poses.priors import UNKNOWN_FOCAL_SIGMA
 from lfrig.processing.poses.tracks import Pair
 
-SEEDS = (1, 2, 3, 4, 5)
-MIN_TRIANGULATION_DEG = 6.0
-DISAGREEMENT_DEG = 1.0
+SEED = 1
+STARTS = 5
+"""First pairs that are tried beside COLMAP's own choice."""
 
+MIN_TRIANGULATION_DEG = 6.0
+MIN_INLIERS = 30
 Mapped = dict[int, tuple[Pose, Camera]]
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A run's result: pose and camera of every view it registered, and how many of all matches agree with it."""
+
+    views: Mapped
+    agreeing: int
 
 
 def map_incrementally(
     cameras: Sequence[Camera], features: Sequence[Features], matches: Mapping[Pair, Matches], monitor: Monitor
-) -> Mapped:
-    """Pose and camera of every view that could be registered, in a frame and scale of their own.
+) -> list[Candidate]:
+    """What the runs come to, each in a frame and scale of its own: the best first.
 
-    The run whose relative rotations are nearest to those of the others is returned; a warning tells when they differ.
+    Those with most views come first, of these those that most matches agree with. Neither is proof: a backdrop that
+    repeats has more matches than what stands before it, and most of one pair's may hold a false geometry together.
     """
     import pycolmap
 
     quiet = pycolmap.logging.minloglevel
     pycolmap.logging.minloglevel = int(pycolmap.logging.Level.FATAL)
-    runs: list[Mapped] = []
+    found: list[Candidate] = []
     try:
         with tempfile.TemporaryDirectory(prefix="lfrig-") as folder:
             database = Path(folder) / "matches.db"
-            _write_database(database, cameras, features, matches)
-            for seed in SEEDS:
+            verified = _write_database(database, cameras, features, matches)
+            strongest = sorted(verified, key=lambda pair: (-len(verified[pair]), pair))[:STARTS]
+            for start in (None, *strongest):
                 monitor.advance(0)
-                run = _run(database, Path(folder), cameras, seed)
+                run = _run(database, Path(folder), cameras, start)
                 if run:
-                    runs.append(run)
+                    found.append(Candidate(run, _agreeing(run, features, matches)))
     finally:
         pycolmap.logging.minloglevel = quiet
-    if not runs:
-        return {}
-    most = max(len(r) for r in runs)
-    runs = [r for r in runs if len(r) == most and r.keys() == max(runs, key=len).keys()]
-    distance = [[_disagreement_deg(a, b) for b in runs] for a in runs]
-    middle = int(np.argmin(np.median(distance, axis=1)))
-    spread = float(np.median(distance[middle]))
-    if spread > DISAGREEMENT_DEG:
-        monitor.warn(
-            "unstable-poses",
-            f"structure from motion gives rotations that differ by {spread:.1f}° from run to run; record the "
-            "turntable's angles or the poses",
-        )
-    return runs[middle]
+    return sorted(found, key=lambda c: (-len(c.views), -c.agreeing))
 
 
-def _disagreement_deg(a: Mapped, b: Mapped) -> float:
-    """Largest difference of rotations relative to the first view."""
-    first, *others = sorted(a)
-    return max(
-        (
-            rotation_angle_deg(a[v][0].rotation @ a[first][0].rotation.T, b[v][0].rotation @ b[first][0].rotation.T)
-            for v in others
-        ),
-        default=0.0,
-    )
+def _agreeing(run: Mapped, features: Sequence[Features], matches: Mapping[Pair, Matches]) -> int:
+    """How many matches lie near the epipolar lines of a run."""
+    total = 0
+    for (i, j), rows in matches.items():
+        if not (len(rows) and i in run and j in run):
+            continue
+        (first, one), (second, other) = run[i], run[j]
+        fundamental = fundamental_matrix(one, first, other, second)
+        distance = sampson_distance(fundamental, features[i].xy[rows[:, 0]], features[j].xy[rows[:, 1]])
+        total += int((distance < AGREE * other.width).sum())
+    return total
 
 
 def _write_database(
     path: Path, cameras: Sequence[Camera], features: Sequence[Features], matches: Mapping[Pair, Matches]
-) -> None:
-    """Our features and matches, geometrically verified, as COLMAP wants them (pixel centres at +0.5)."""
+) -> dict[Pair, Matches]:
+    """Our features and matches, geometrically verified, as COLMAP wants them (pixel centres at +0.5); returns the
+    matches that fit each pair's own geometry.
+    """
     import pycolmap
 
-    pycolmap.set_random_seed(SEEDS[0])
+    pycolmap.set_random_seed(SEED)
+    verified = {}
     database = pycolmap.Database.open(str(path))
     try:
         models = []
@@ -108,7 +114,7 @@ def _write_database(
             if len(pairs) < 8:
                 continue
             options = pycolmap.TwoViewGeometryOptions()
-            options.ransac.random_seed = SEEDS[0]
+            options.ransac.random_seed = SEED
             options.detect_watermark = False
             table = pairs.astype(np.uint32)
             geometry = pycolmap.estimate_calibrated_two_view_geometry(
@@ -116,8 +122,11 @@ def _write_database(
             )
             database.write_matches(i + 1, j + 1, table)
             database.write_two_view_geometry(i + 1, j + 1, geometry)
+            if len(geometry.inlier_matches) >= MIN_INLIERS:
+                verified[i, j] = np.asarray(geometry.inlier_matches, np.int64)
     finally:
         database.close()
+    return verified
 
 
 def _colmap_camera(camera: Camera, camera_id: int) -> Any:
@@ -131,11 +140,12 @@ def _colmap_camera(camera: Camera, camera_id: int) -> Any:
     return model
 
 
-def _run(database: Path, folder: Path, cameras: Sequence[Camera], seed: int) -> Mapped:
+def _run(database: Path, folder: Path, cameras: Sequence[Camera], start: Pair | None) -> Mapped:
+    """One run, from a first pair or from COLMAP's own choice of it."""
     import pycolmap
 
     options = pycolmap.IncrementalPipelineOptions()
-    options.random_seed = seed
+    options.random_seed = SEED
     options.num_threads = 1
     options.multiple_models = False
     options.extract_colors = False
@@ -145,12 +155,14 @@ def _run(database: Path, folder: Path, cameras: Sequence[Camera], seed: int) -> 
     options.ba_refine_focal_length = any(c.sigma_focal >= UNKNOWN_FOCAL_SIGMA for c in cameras)
     options.mapper.abs_pose_refine_focal_length = options.ba_refine_focal_length
     options.mapper.init_min_tri_angle = MIN_TRIANGULATION_DEG
-    options.mapper.init_min_num_inliers = 30
-    options.mapper.random_seed = seed
+    options.mapper.init_min_num_inliers = MIN_INLIERS
+    options.mapper.random_seed = SEED
     options.triangulation.ignore_two_view_tracks = False
-    options.triangulation.random_seed = seed
-    pycolmap.set_random_seed(seed)
-    out = folder / f"run{seed}"
+    options.triangulation.random_seed = SEED
+    pycolmap.set_random_seed(SEED)
+    if start is not None:
+        options.init_image_id1, options.init_image_id2 = start[0] + 1, start[1] + 1
+    out = folder / ("run" if start is None else f"run{start[0]}-{start[1]}")
     out.mkdir()
     models = pycolmap.incremental_mapping(str(database), str(folder), str(out), options)
     if not models:

@@ -8,6 +8,9 @@ from typing import Literal
 from lfrig.processing.model import Anchors, Camera, Pose, ScaleFit
 
 PoseMethod = Literal["auto", "lf", "colmap", "given"]
+ScaleSource = Literal["poses", "mount", "recorded optics", "gauge"]
+"""Where the unit of length came from: given poses, the turntable's mount, recorded baselines and focus distances, or
+nowhere (the first source's median depth is 0.5)."""
 
 
 @dataclass(frozen=True)
@@ -29,6 +32,8 @@ class PoseSolution:
         Of the photo.
     metric : bool
         Whether lengths are metres; else they are in a gauge of their own.
+    scale_source : str
+        Where that scale came from.
     scales : tuple of (ScaleFit or None)
         Each source's ``1/z = a δ + c`` as solved together with the poses; None where light fields took no part.
     """
@@ -41,4 +46,5 @@ class PoseSolution:
     target_pose: Pose
     target_camera: Camera
     metric: bool
+    scale_source: ScaleSource
     scales: tuple[ScaleFit | None, ...] = ()

@@ -13,11 +13,13 @@ from lfrig.contracts.errors import BadInput, GeometryRefused, UsageError
 from lfrig.contracts.progress import Monitor
 from lfrig.processing.model import F64, Anchors, Evidence, LightField, Photo, Pose, RigPrior
 from lfrig.processing.poses import gate
-from lfrig.processing.poses.anchors import collect_anchors, metric_scale
+from lfrig.processing.poses.anchors import collect_anchors, common_scale, scale_estimates
+from lfrig.processing.poses.confirm import confirmation, refuse_untied_photo
 from lfrig.processing.poses.features import extract_features
+from lfrig.processing.poses.guide import Guide
 from lfrig.processing.poses.matching import Gallery
-from lfrig.processing.poses.priors import has_turntable_prior, photo_prior
-from lfrig.processing.poses.solution import PoseMethod, PoseSolution
+from lfrig.processing.poses.priors import depth_limits, has_turntable_prior, photo_prior
+from lfrig.processing.poses.solution import PoseMethod, PoseSolution, ScaleSource
 from lfrig.processing.poses.structure import Structure
 from lfrig.processing.poses.with_light_fields import Task, solve_with_light_fields, solved_scales
 from lfrig.processing.poses.with_prior import solve_with_prior
@@ -64,6 +66,9 @@ def solve_poses(
             structure = solve_without_prior(sources, evidence, features(), target, monitor)
         else:
             structure = solve_with_prior(kind, sources, evidence, features(), target, prior, monitor)
+        if kind != "colmap" and photo_prior(target, prior) is None:
+            guide = Guide(sources, evidence, depth_limits(sources, prior), True)
+            refuse_untied_photo(confirmation(structure, sources, evidence, target, guide), target.id)
         monitor.advance()
         return _solution(kind, structure, sources, evidence, target, monitor)
 
@@ -144,13 +149,14 @@ def _solution(
     gate.warn_of_few_anchors([len(a) for a in anchors], names, monitor)
     gate.warn_of_wide_steps(structure.poses, [*names, target.id], monitor)
     poses = with_sigmas(structure)
-    metric = kind != "colmap"
-    if not metric:
-        scale = metric_scale(anchors, sources, evidence)
-        if scale is None:
+    origin: ScaleSource = "poses" if kind == "given" else "mount"
+    if kind == "colmap":
+        estimates = scale_estimates(anchors, structure.cameras, sources, evidence)
+        origin = "recorded optics" if estimates else "gauge"
+        if not estimates:
             monitor.warn("no-scale", "no pose, mount or baseline is recorded: lengths are in arbitrary units")
         else:
-            metric = True
+            scale = common_scale(estimates)
             poses = [replace(p, translation=p.translation * scale, sigma_m=p.sigma_m * scale) for p in poses]
             anchors = tuple(Anchors(a.xy, a.depth_m * scale, a.world * scale) for a in anchors)
     turned = np.rad2deg(x[arrangement.turns])
@@ -158,8 +164,8 @@ def _solution(
     residual = [float(turned[v]) if by_angle else None for v in range(count)]
     cameras = structure.cameras
     return PoseSolution(
-        kind, tuple(poses[:count]), cameras[:count], anchors, tuple(residual), poses[count], cameras[count], metric,
-        solved_scales(structure, count),
+        kind, tuple(poses[:count]), cameras[:count], anchors, tuple(residual), poses[count], cameras[count],
+        origin != "gauge", origin, solved_scales(structure, count),
     )  # fmt: skip
 
 

@@ -13,6 +13,7 @@ from lfrig.processing.geometry import world_points
 from lfrig.processing.model import Evidence, LightField, Photo, RigPrior, ScaleFit
 from lfrig.processing.poses import gate
 from lfrig.processing.poses.arrangement import Arrangement, Line
+from lfrig.processing.poses.confirm import confirmation, refuse_untied
 from lfrig.processing.poses.guide import Guide, disparity_around
 from lfrig.processing.poses.join_photo import join_located
 from lfrig.processing.poses.light_fields import (
@@ -46,6 +47,24 @@ SURE_NOISE_PX = 0.1
 ALONE_STEP_DEG = 25.0
 UNRECORDED_SIGMA = 0.3
 """Sigma of a line that is not recorded but fitted to points: nothing is known beforehand."""
+
+
+class _Held(Monitor):
+    """Keeps warnings until it is known which of them hold; progress and cancel are the outer monitor's."""
+
+    def __init__(self, outer: Monitor) -> None:
+        super().__init__()
+        self.outer = outer
+
+    def advance(self, steps: int = 1) -> None:
+        """Notice a cancel of the outer monitor."""
+        self.outer.advance(0)
+
+    def release(self, holds: Callable[[Notice], bool] = lambda _: True) -> None:
+        """Hand on the warnings that hold."""
+        for notice in self.notices:
+            if holds(notice):
+                self.outer.warn(notice.code, notice.message)
 
 
 @dataclass(frozen=True)
@@ -97,7 +116,10 @@ def solve_with_light_fields(task: Task, monitor: Monitor) -> tuple[str, Structur
         return "lf", solved.structure
     if solved is None:
         _refuse_wrong_direction(task, looks, arrangement, monitor)
-        kind, other = _from_motion(task, looks, lines, monitor)
+        held = _Held(monitor)
+        kind, other = _from_motion(task, looks, lines, held)
+        # What the light fields do not confirm is no correction.
+        held.release(lambda notice: kind == "lf" or not notice.code.endswith("-corrected"))
         return kind, other.structure
     return "lf", _better(task, looks, lines, solved, monitor).structure
 
@@ -107,15 +129,14 @@ def _better(task: Task, looks: Looks, lines: Sequence[Line | None], solved: Solv
 
     Texture that repeats can hold a wrong geometry within every gate; what it lacks is matches.
     """
-    silent = Monitor()
+    held = _Held(monitor)
     try:
-        kind, other = _from_motion(task, looks, lines, silent)
+        kind, other = _from_motion(task, looks, lines, held)
     except GeometryRefused:
         return solved
     if kind != "lf" or other.followed.total <= solved.followed.total:
         return solved
-    for notice in silent.notices:
-        monitor.warn(notice.code, notice.message)
+    held.release()
     return other
 
 
@@ -242,6 +263,7 @@ def _polished(
     # Angles and focal lengths have been judged, and warned of, already.
     doubted = gate.doubts(solved, followed.fractions(), None)
     if doubted:
+        refuse_untied(confirmation(first, task.sources, task.evidence, task.target, guide), task.names, task.target.id)
         gate.warn_of_unconfirmed(doubted, followed.fractions(), task.names, task.target.id, monitor)
         return "colmap-turntable", Solved(first, followed)
     return "lf", Solved(solved, followed)

@@ -11,7 +11,9 @@ from lfrig.contracts.errors import GeometryRefused
 from lfrig.contracts.progress import Monitor
 from lfrig.processing.model import Camera, Evidence, LightField, Photo, Pose
 from lfrig.processing.poses import gate
+from lfrig.processing.poses.anchors import collect_anchors, furthest_estimate, scale_estimates
 from lfrig.processing.poses.arrangement import Arrangement, Viewpoint
+from lfrig.processing.poses.confirm import confirmation
 from lfrig.processing.poses.features import Features
 from lfrig.processing.poses.guide import Guide
 from lfrig.processing.poses.mapping import Mapped, map_incrementally
@@ -41,20 +43,66 @@ def solve_without_prior(
     cameras = [*(known_camera(s) for s in sources), known_camera(target)]
     count = len(cameras)
     matches: dict[Pair, Matches] = {(i, j): features.match(i, j) for j in range(count) for i in range(j)}
-    mapped = map_incrementally(cameras, features, matches, monitor)
+    candidates = map_incrementally(cameras, features, matches, monitor)
+    mapped = candidates[0].views if candidates else {}
     _refuse_missing(mapped, names, matches, features)
-    arrangement = _loose_arrangement(mapped, cameras)
+    guide = Guide(sources, evidence, (MEDIAN_DEPTH / DEPTH_SPAN, MEDIAN_DEPTH * DEPTH_SPAN), False)
+    refusal: GeometryRefused | None = None
+    for candidate in candidates:
+        if len(candidate.views) < len(mapped):
+            break
+        arrangement = _loose_arrangement(candidate.views, cameras)
+        try:
+            # After a refusal, only what the pictures confirm is good enough.
+            return _checked(arrangement, features, matches, guide, target, refusal is not None, monitor)
+        except GeometryRefused as found:
+            # What is wrong with the likeliest one is what the operator is told.
+            refusal = refusal or found
+    assert refusal is not None
+    raise refusal
+
+
+def _checked(
+    arrangement: Arrangement,
+    features: Gallery,
+    matches: dict[Pair, Matches],
+    guide: Guide,
+    target: Photo,
+    strict: bool,
+    monitor: Monitor,
+) -> Structure:
+    """What a mapping comes to when all matches are used; refused where pictures contradict it, or,
+    if ``strict``, where the light fields cannot confirm it.
+    """
+    ids = [s.id for s in guide.sources]
     seen = build_tracks(features, {p: matches[p] for p in neighbours(arrangement.mounts)})
-    limits = (MEDIAN_DEPTH / DEPTH_SPAN, MEDIAN_DEPTH * DEPTH_SPAN)
     scaled = _in_gauge(arrangement, features, matches)
-    first = refine(scaled, np.zeros(scaled.size), seen, limits, SCHEDULE_PX, monitor)
+    first = refine(scaled, np.zeros(scaled.size), seen, guide.depth_range, SCHEDULE_PX, monitor)
     poses = first.poses
-    gate.refuse_identical_poses(poses[:-1], [s.id for s in sources], MEDIAN_DEPTH)
+    gate.refuse_identical_poses(poses[:-1], ids, MEDIAN_DEPTH)
     agreement = gate.measure_agreement(first, features, matches)
     gate.refuse_photo(agreement.agreeing[-1], target.id)
-    gate.refuse_lonely_views(agreement, [s.id for s in sources])
-    gate.refuse_unstable_views(agreement, [s.id for s in sources])
-    return complete(first, features, neighbours(poses), Guide(sources, evidence, limits, False), monitor)
+    gate.refuse_lonely_views(agreement, ids)
+    gate.refuse_unstable_views(agreement, ids)
+    final = complete(first, features, neighbours(poses), guide, monitor)
+    gate.refuse_bent_lenses(final, ids)
+    _refuse_contradicting_optics(final, guide)
+    confirmed = confirmation(final, guide.sources, guide.evidence, target, guide)
+    groups = confirmed.tied_groups() if confirmed else [[v] for v in range(len(poses))] if strict else []
+    gate.refuse_scattered_views(groups, [*(f"capture {i}" for i in ids), f"photo {target.id}"])
+    return final
+
+
+def _refuse_contradicting_optics(final: Structure, guide: Guide) -> None:
+    """Refuse depths that make recorded baselines and focus distances contradict each other: what is solved is then no
+    scaled copy of what was there.
+    """
+    sources = guide.sources
+    anchors = collect_anchors(final, len(sources), guide.evidence)
+    estimates = scale_estimates(anchors, final.cameras, sources, guide.evidence)
+    outlier = furthest_estimate(estimates) if estimates else None
+    if outlier is not None:
+        gate.refuse_optics(sources[outlier.source].id, outlier.of)
 
 
 def _refuse_missing(

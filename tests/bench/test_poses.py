@@ -66,7 +66,7 @@ def solution(case: PoseCase, scale: float = 1.0, shift_m: float = 0.0, turn_rad:
     ]
     return PoseSolution(
         "colmap-turntable", tuple(every[:-1]), tuple(s.camera for s in case.shots), tuple(anchors),
-        (0.0,) * len(case.shots), every[-1], case.photo.camera, True,
+        (0.0,) * len(case.shots), every[-1], case.photo.camera, True, "mount",
     )  # fmt: skip
 
 

@@ -141,7 +141,7 @@ def without_rig(shoot, optics):
 def test_no_prior_gives_a_gauge_of_its_own(still):
     monitor = Monitor()
     solution = solve(without_rig(still, Optics()), monitor=monitor)
-    assert solution.method == "colmap" and not solution.metric
+    assert solution.method == "colmap" and not solution.metric and solution.scale_source == "gauge"
     assert [n.code for n in monitor.notices] == ["no-scale"]
     check_accuracy(solution, still, rotation_deg=0.3, depth=0.004, target_px=0.6)
 
@@ -149,7 +149,7 @@ def test_no_prior_gives_a_gauge_of_its_own(still):
 def test_recorded_optics_make_it_metric(still):
     shoot = without_rig(still, Optics(focus_distance_m=FOCUS_M))
     solution = solve(shoot)
-    assert solution.metric
+    assert solution.metric and solution.scale_source == "recorded optics"
     ratios = np.concatenate([shoot.depth_ratios(solution, k) for k in range(3)])
     assert np.median(ratios) == pytest.approx(1, abs=0.02)
 
@@ -190,7 +190,7 @@ def test_one_source_and_nothing_known_of_the_photo(studio):
     shoot = studio.shoot(angles_deg=(-8.0,), given=True)
     shoot.target = replace(shoot.target, pose=None)
     solution = solve(shoot)
-    assert solution.method == "colmap" and not solution.metric
+    assert solution.method == "colmap" and not solution.metric and solution.scale_source == "gauge"
     check_accuracy(solution, shoot, rotation_deg=1e-6, depth=0.006, target_px=0.8)
 
 

@@ -1,0 +1,69 @@
+"""Whether near and far things alike confirm a solved structure: the check of `processing.agreement`, inside the stage.
+
+A backdrop that repeats holds a view in the wrong place with many more matches than what stands before it. Patches,
+carried by the light fields' own depth and counted for near and far separately, are not outvoted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from lfrig.contracts.errors import GeometryRefused
+from lfrig.processing.agreement import Agreement, measure_agreement
+from lfrig.processing.model import Evidence, LightField, Photo, ScaleFit, Source
+from lfrig.processing.poses.guide import Guide
+from lfrig.processing.poses.structure import Structure
+
+
+def confirmation(
+    structure: Structure, sources: Sequence[LightField], evidence: Sequence[Evidence], target: Photo, guide: Guide
+) -> Agreement | None:
+    """Agreement of all pictures by a structure's poses (the photo's last); None when some source's solved points do
+    not give its light field a scale.
+    """
+    solved = structure.arrangement.lines(structure.parameters)
+    ready = []
+    for v, (source, seen) in enumerate(zip(sources, evidence, strict=True)):
+        line = solved[v]
+        camera, pose = structure.cameras[v], structure.poses[v]
+        scale: ScaleFit | None = guide.fitted_line(structure, v) if line is None else line.scale(camera)
+        if scale is None:
+            return None
+        ready.append(Source(source, camera, pose, seen, scale))
+    return measure_agreement(ready, target, structure.cameras[-1], structure.poses[-1])
+
+
+def refuse_untied(confirmed: Agreement | None, names: Sequence[str], photo: str) -> None:
+    """Refuse poses by which some picture is tied to the first source by nothing near, or by nothing at all.
+
+    Raises
+    ------
+    GeometryRefused
+        ``photo-disagrees`` where that is the photo only, else ``capture-disagrees``.
+    """
+    groups = confirmed.tied_groups() if confirmed else []
+    if len(groups) < 2:
+        return
+    if [len(names)] in groups and len(groups) == 2:
+        refuse_untied_photo(confirmed, photo)
+    most = max(groups, key=len)
+    alone = ", ".join(names[v] for group in groups if group is not most for v in group if v < len(names))
+    raise GeometryRefused(
+        f"captures {alone or ', '.join(names)}: nothing near is where the poses put it in the other captures",
+        code="capture-disagrees",
+        remedy="check turntable_deg of all captures (a backdrop that repeats fits at wrong angles too) and that "
+        "nothing on the plate moved, or leave the named ones out with --sources",
+    )
+
+
+def refuse_untied_photo(confirmed: Agreement | None, photo: str) -> None:
+    """Refuse a photo, found by its own matches only, that nothing near ties to a source (``photo-disagrees``)."""
+    if confirmed is not None and any(
+        len(group) == 1 and group[0] == len(confirmed.share) for group in confirmed.tied_groups()
+    ):
+        raise GeometryRefused(
+            f"photo {photo}: it fits the sources only in what is far away, not in what stands before it",
+            code="photo-disagrees",
+            remedy="take the photo from between the sources (a backdrop that repeats looks the same from elsewhere), "
+            "or record its pose",
+        )
