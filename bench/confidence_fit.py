@@ -17,7 +17,7 @@ from lfrig.processing.confidence.model import LEAK, LIMIT, SIGMA_LIMITS_PX, TOLE
 from lfrig.processing.model import F32, F64
 
 HIDDEN = (32, 16)
-EPOCHS = 8
+EPOCHS = 16
 BATCH = 4096
 RATE = 3e-3
 DECAY = 1e-4
