@@ -1,8 +1,8 @@
 """Features → expected error → sigma → probability.
 
 A perceptron of two small hidden layers gives log E|error| in px per view step of the sources. Two monotone curves make
-it sigma, the error that 68.3 % of such pixels stay below, and sigma the probability of an error below 0.1 px; so sigma
-and confidence always rank pixels alike. Between them the standard deviation of the poses' common scale is added: it
+it sigma, the error that 68.3 % of such pixels stay below, and sigma the probability of an error below 0.1 px; so both
+rank pixels alike. Between them the standard deviation of the poses' common scale is added: it
 moves all depths by one factor, which no pixel can see. Calibration after training: Niculescu-Mizil & Caruana, ICML
 2005.
 """
@@ -30,6 +30,9 @@ LIMIT = np.float32(4.0)
 LEAK = np.float32(0.05)
 BLOCK = 8192
 SIGMA_LIMITS_PX = (1e-4, 4.0)
+COMMON_SHARE = np.float32(0.5)
+"""How much of the common scale's sigma the probability counts: it has no gross errors, a pixel of that sigma has. Half
+ranks and predicts best on the tuning scenes, with poses from the turntable's prior."""
 
 
 @dataclass(frozen=True)
@@ -143,5 +146,8 @@ def estimate(clues: Clues, px_per_inverse: float, model: ConfidenceModel | None 
     log_sigma = model.sigma(model.log_error(features)).reshape(clues.surface.shape)
     own = np.exp(log_sigma) * np.float32(clues.unit * px_per_inverse)
     common = clues.surface * np.float32(clues.scale_sigma * px_per_inverse)
-    sigma_px = np.asarray(np.clip(np.hypot(own, common), *SIGMA_LIMITS_PX), np.float32)
-    return model.probability(sigma_px), sigma_px
+    sigma_px, judged = (
+        np.asarray(np.clip(np.hypot(own, share * common), *SIGMA_LIMITS_PX), np.float32)
+        for share in (np.float32(1), COMMON_SHARE)
+    )
+    return model.probability(judged), sigma_px
