@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from lfrig.contracts.files import disk_errors
+from lfrig.processing.metrics import Reliability
 from lfrig.processing.model import F32, U8
 
 DPI = 110
@@ -43,6 +44,22 @@ def front(path: Path, series: Mapping[str, Sequence[tuple[float, float]]], *, ti
     axes.set_ylabel(y)
     axes.set_title(title)
     axes.grid(which="both", alpha=0.3)
+    axes.legend(fontsize=8)
+    _save(figure, path)
+
+
+def reliability_curves(path: Path, curves: Mapping[str, Reliability]) -> None:
+    """Observed over predicted frequency of errors below the tolerance; the size of a point is the share of pixels."""
+    figure, axes = _figure(5.5, 5)
+    axes.plot([0, 1], [0, 1], color="grey", linewidth=1)
+    for name, curve in curves.items():
+        (line,) = axes.plot(curve.predicted, curve.observed, label=f"{name}, ECE {curve.ece:.3f}")
+        size = 4 + 200 * np.sqrt(curve.pixels / max(int(curve.pixels.sum()), 1))
+        axes.scatter(curve.predicted, curve.observed, size, color=line.get_color(), alpha=0.5)
+    axes.set_xlabel("confidence")
+    axes.set_ylabel("share of pixels with |error| < 0.1 px")
+    axes.set_title("Reliability")
+    axes.grid(alpha=0.3)
     axes.legend(fontsize=8)
     _save(figure, path)
 

@@ -20,6 +20,7 @@ from lfrig.contracts.progress import Monitor, Notice
 from lfrig.contracts.result import StageReport
 from lfrig.processing import confidence as confidence_model
 from lfrig.processing.agreement import check_agreement
+from lfrig.processing.confidence import Clues
 from lfrig.processing.dpv import DpvSettings, auto_range, light_field_evidence
 from lfrig.processing.edges import EdgeSettings, decide_edges
 from lfrig.processing.fusion import FusionSettings, fuse, inverse_depth_range
@@ -37,6 +38,7 @@ from lfrig.processing.model import (
     Surface,
     SynthesizedLightField,
 )
+from lfrig.processing.plane_fit import Planes
 from lfrig.processing.poses import PoseMethod, PoseSolution, solve_poses
 from lfrig.processing.refine import RefineSettings, smooth, snap_to_edges
 from lfrig.processing.regularise import RegulariseSettings, regularise
@@ -46,8 +48,8 @@ from lfrig.processing.sharpness import warn_of_defocus
 from lfrig.processing.stages import StageClock
 from lfrig.processing.still import warn_of_still_background
 from lfrig.processing.synthesis import SynthesisSettings, render_views
-from lfrig.processing.visibility import support
-from lfrig.processing.wide_baseline import WideBaselineSettings, refine_wide
+from lfrig.processing.visibility import land
+from lfrig.processing.wide_baseline import WideBaselineSettings, WideMatch, refine_wide
 
 PRESETS = ("fast",)
 LATER_PRESETS = ("preview", "balanced", "paper")
@@ -308,10 +310,12 @@ def _refine(
     """Refine the surface; also the number of pixels that got another value after plane quantisation was taken out."""
     knobs, image = settings.refine, photo.image8
     px = request.baseline_m * camera.focal_px
-    before = inverse_depth
+    fused, flat = inverse_depth, np.zeros_like(inverse_depth)
+    planes, match = Planes(fused, flat, flat), WideMatch.none(fused)
     if knobs.smooth:
         planes = smooth(inverse_depth, peak, image, px, knobs)
-        before = inverse_depth = planes.value
+        match = WideMatch.none(planes.value)
+        inverse_depth = planes.value
         if settings.wide_baseline.enabled:
             match = refine_wide(
                 planes, ready, camera, pose, image, settings.wide_baseline, threads=threads, monitor=monitor
@@ -319,12 +323,15 @@ def _refine(
             inverse_depth = match.inverse_depth
     if settings.edges.enabled:
         inverse_depth, _ = decide_edges(inverse_depth, ready, camera, pose, image, px, settings.edges)
+    decided = inverse_depth
     if knobs.snap:
         inverse_depth = snap_to_edges(inverse_depth, image, px, knobs)
-    agreeing, in_view = support(inverse_depth, ready, camera, pose, knobs.support_px)
-    probability, sigma_px = confidence_model.calibrate(inverse_depth * np.float32(px), peak, agreeing, in_view)
+    landings = [land(inverse_depth, source, camera, pose) for source in ready]
+    clues = Clues(fused, peak, planes, match, decided, inverse_depth, image, ready, landings, camera, pose)
+    probability, sigma_px = confidence_model.estimate(clues, px)
+    agreeing = np.asarray(sum(landing.agrees(knobs.support_px).astype(np.float32) for landing in landings), np.float32)
     surface = Surface(inverse_depth, probability, np.asarray(sigma_px / px, np.float32), agreeing)
-    return surface, int((inverse_depth != before).sum())
+    return surface, int((inverse_depth != planes.value).sum())
 
 
 def _resize_surface(surface: Surface, width: int, height: int) -> Surface:

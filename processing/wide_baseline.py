@@ -56,13 +56,23 @@ LUMA_NOISE = 0.45
 @dataclass(frozen=True)
 class WideMatch:
     """``inverse_depth`` float32 [H, W]; ``cost`` float32 [H, W], 1 − ZNCC of the best label (the cap where nothing was
-    compared); ``seen`` float32 [H, W], sources that see the surface; ``accepted`` bool [H, W].
+    compared); ``seen`` float32 [H, W], sources that see the surface; ``accepted`` bool [H, W]. Of the costs aggregated
+    along paths, float32 [H, W]: ``margin``, by how much every label beyond ±2 is worse than the best, and
+    ``curvature``, by how much the two at ±2 together are.
     """
 
     inverse_depth: F32
     cost: F32
     seen: F32
     accepted: Mask
+    margin: F32
+    curvature: F32
+
+    @classmethod
+    def none(cls, inverse_depth: F32) -> WideMatch:
+        """Of a surface that was not matched."""
+        nothing = np.zeros_like(inverse_depth)
+        return cls(inverse_depth, nothing + 1, nothing, np.zeros(nothing.shape, bool), nothing, nothing)
 
 
 def refine_wide(
@@ -96,7 +106,8 @@ def refine_wide(
     best = cost.min(2)
     agreeing, _ = support(moved, sources, camera, pose, settings.support_px)
     accepted = (agreeing > 0) & (seen > settings.accept_seen) & (best < settings.accept_cost)
-    return WideMatch(np.where(accepted, moved, surface.value).astype(np.float32), best, seen, accepted)
+    inverse_depth = np.where(accepted, moved, surface.value).astype(np.float32)
+    return WideMatch(inverse_depth, best, seen, accepted, *_distinctness(total))
 
 
 def _cost(
@@ -173,3 +184,17 @@ def _parabola(total: F32) -> F32:
     curvature = before - 2 * at + after
     offset = np.where((inner == best) & (curvature > 1e-9), 0.5 * (before - after) / np.maximum(curvature, 1e-9), 0)
     return np.asarray(best + offset, np.float32)
+
+
+def _distinctness(total: F32) -> tuple[F32, F32]:
+    """(margin, curvature) of aggregated costs float32 [H, W, K], float32 [H, W] each (see `WideMatch`)."""
+    labels, reach = total.shape[2], 2
+    best = total.argmin(2)
+    least = total.min(2)
+    around = np.abs(np.arange(labels) - best[..., None]) <= reach
+    margin = np.where(around, np.float32(np.inf), total).min(2) - least
+    curvature = np.zeros_like(least)
+    for side in (-reach, reach):
+        at = np.clip(best + side, 0, labels - 1)
+        curvature += np.take_along_axis(total, at[..., None], 2)[..., 0] - least
+    return np.where(np.isfinite(margin), margin, 0).astype(np.float32), curvature

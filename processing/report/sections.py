@@ -86,8 +86,8 @@ def maps(result: ProcessResult, report: ReportDocument) -> Html:
                 charts.colour_bar(pictures.Scale(0, 1, "cividis")),
             ),
             figure(
-                pictures.coloured(sigma, sigma_scale).element("map of the standard deviation", "map"),
-                "Expected error of the disparity (one standard deviation); dark is good.",
+                pictures.coloured(sigma, sigma_scale).element("map of the expected error", "map"),
+                "Expected error of the disparity: two thirds of such pixels are closer; dark is good.",
                 charts.colour_bar(sigma_scale, "px"),
             ),
             class_="pair",

@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 
 from lfrig.contracts.errors import BadInput, GeometryRefused, Interrupted, NotInThisVersion, UsageError
 from lfrig.contracts.progress import Monitor
-from lfrig.processing import confidence
 from lfrig.processing.dpv import light_field_evidence
 from lfrig.processing.edges import EdgeSettings, decide_edges
 from lfrig.processing.fusion import FusionSettings, fuse, inverse_depth_range
@@ -167,15 +166,6 @@ def test_smoothing_and_snapping_keep_a_step() -> None:
     snapped = snap_to_edges(smoothed, photo, 0.7, RefineSettings())
     assert abs(snapped[10, 18] - 1.5) < 0.1
     assert (np.abs(snapped - step) < 0.1).all()
-
-
-def test_confidence_orders_and_sigma_follows() -> None:
-    one = np.full((20, 20), 0.9, np.float32)
-    sure, sigma_sure = confidence.calibrate(one, one, np.full_like(one, 2), np.ones(one.shape, bool))
-    poor, sigma_poor = confidence.calibrate(one, 0.1 * one, 0 * one, np.zeros(one.shape, bool))
-    assert 0 <= poor.max() < sure.min() <= 1 and sigma_sure.max() < sigma_poor.min()
-    # 68.3 % within one standard deviation
-    assert confidence.sigma_of(np.array([0.6827], np.float32))[0] == pytest.approx(0.1, rel=0.01)
 
 
 def run(monitor: Monitor | None = None, **changes):  # type: ignore[no-untyped-def]
