@@ -44,7 +44,7 @@ class FusionSettings:
     surface_cap: float = 10.0
     colour: bool = True
     """Compare the photo's colours with the sources' at every voxel (log pool only)."""
-    colour_weight: float = 1.75
+    colour_weight: float = 1.5
     colour_noise_share: float = 0.2
     """How fast that weight falls per grey level of noise: colours must not outshout light fields that noise weakens."""
     colour_sigma_grey: float = 10.0

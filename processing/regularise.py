@@ -23,7 +23,7 @@ class RegulariseSettings:
     window: int = 3
     cap: float = 20.0
     p1: float = 4.0
-    p2: float = 80.0
+    p2: float = 50.0
     edge_grey: float = 30.0
     sharpness: float = 2.0
     """Log evidence per unit of the paths' mean."""
