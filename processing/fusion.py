@@ -47,6 +47,9 @@ class FusionSettings:
     colour_weight: float = 1.5
     colour_noise_share: float = 0.2
     """How fast that weight falls per grey level of noise: colours must not outshout light fields that noise weakens."""
+    colour_plane_px: float = 0.0074
+    """Where a plane is less than this of the sources' disparity (small pictures), light fields say less per plane, and
+    the weight falls with its square: a texture that repeats would win."""
     colour_sigma_grey: float = 10.0
     colour_cap: float = 3.0
     colour_unknown: float = 1.0
@@ -143,6 +146,7 @@ def _add_colours(
     """Add what the colours of the photo and of every source's centre view say, in place."""
     noise = float(np.median([source.evidence.noise_sigma for source in sources]))
     weight = settings.colour_weight / (1 + settings.colour_noise_share * noise)
+    weight *= min(1.0, _plane_px(sources, planes[1]) / settings.colour_plane_px) ** 2
     term = ColourTerm(
         weight, settings.colour_sigma_grey, settings.colour_cap, settings.colour_unknown, settings.margin_px
     )
@@ -177,8 +181,12 @@ def _tone_at(rough: F32, own: F32, colour: F32, source: Source, target: tuple[Ca
 
 def _gap_planes(sources: Sequence[Source], dw: float, settings: FusionSettings) -> int:
     """``surface_gap_px`` in planes: the width of a peak is a matter of the sources' pixels, whatever the planes are."""
-    plane_px = dw / float(np.median([abs(source.scale.a) for source in sources]))
-    return int(np.clip(round(settings.surface_gap_px / plane_px), 1, settings.planes - 1))
+    return int(np.clip(round(settings.surface_gap_px / _plane_px(sources, dw)), 1, settings.planes - 1))
+
+
+def _plane_px(sources: Sequence[Source], dw: float) -> float:
+    """Distance of two planes in px per view step of the sources (the median one)."""
+    return dw / float(np.median([abs(source.scale.a) for source in sources]))
 
 
 def inverse_depth_range(
