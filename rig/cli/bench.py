@@ -55,7 +55,7 @@ def bench(
         raise UsageError(f"--scenes: bench {name} has its own", remedy="leave --scenes out")
     given: dict[str, object] = {} if size is None else {"size": size}
     if inputs is not None:
-        given["inputs"] = _inputs(name, inputs)
+        given["inputs"] = _inputs(name, inputs, load("accuracy").INPUTS)
     if scenes is not None:
         given["scenes"] = _scene_names(scenes)
     document: BenchDocument = load(name).run(out, monitor=run.monitor, threads=run.threads, **given)
@@ -68,15 +68,13 @@ def bench(
                           remedy=f"see {out}/{name}.md")  # fmt: skip
 
 
-def _inputs(name: str, text: str) -> list[str]:
-    """What ``--inputs`` names, each once."""
-    from lfrig.bench.inputs import INPUTS
-
+def _inputs(name: str, text: str, known: tuple[str, ...]) -> list[str]:
+    """What ``--inputs`` names, of those that are known, each once."""
     if name != "accuracy":
         raise UsageError(f"--inputs: bench {name} has one kind of input", remedy="leave --inputs out")
     found = list(dict.fromkeys(part.strip() for part in text.split(",")))
     for part in found:
-        parse.one_of("--inputs", part, INPUTS)
+        parse.one_of("--inputs", part, known)
     return found
 
 
