@@ -29,13 +29,13 @@ GEOMETRY = 4
 GOOD_DEPTH = 0.045
 """Median relative error of depth that a session without a fault keeps at this small size."""
 
-AS_GOOD = 1.1
+AS_GOOD = 1.25
 """How many times that of the session without the fault it may be with a fault that was corrected."""
 
 FOCAL_CORRECTED = 0.006
 """A focal length that was 15 % off comes back to about 0.3 %: its depths are less sure than recorded ones."""
 
-BEFORE_WALL = 1.5
+BEFORE_WALL = 1.75
 """The same before a wall that does not turn: what is seen of it has no depth in the plate's world."""
 
 
