@@ -19,6 +19,7 @@ from lfrig.contracts.errors import GeometryRefused
 from lfrig.contracts.progress import Monitor
 from lfrig.processing.geometry import project, projection
 from lfrig.processing.model import F32, F64, U8, Camera, Photo, Pose, Source
+from lfrig.processing.patch import correlation, patch_window
 
 MAX_PATCHES = 300
 MIN_PATCHES = 24
@@ -197,8 +198,7 @@ def _patches(source: Source, grey: F32) -> F32:
     corners = cv2.goodFeaturesToTrack(grey, MAX_PATCHES, 0.01, 2.0 * RADIUS, mask=sure, blockSize=7)
     if corners is None:
         return np.zeros((0, 1, 2), np.float32)
-    window = np.stack(np.meshgrid(*[np.arange(-RADIUS, RADIUS + 1, dtype=np.float32)] * 2), -1).reshape(1, -1, 2)
-    return np.asarray(np.rint(corners) + window, np.float32)
+    return np.asarray(np.rint(corners) + patch_window(RADIUS), np.float32)
 
 
 def _compare(
@@ -236,11 +236,4 @@ def _alike(here: F32, picture: F32, u: F32, v: F32) -> NDArray[np.bool_]:
     import cv2
 
     seen = cv2.remap(picture, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
-    return np.asarray(_correlation(here, seen) > ALIKE, np.bool_)
-
-
-def _correlation(a: F32, b: F32) -> F64:
-    """Zero-mean normalised cross-correlation of patches [N, P]; 0 for plain ones."""
-    a, b = a - a.mean(1, keepdims=True), b - b.mean(1, keepdims=True)
-    scale = np.sqrt((a * a).sum(1) * (b * b).sum(1))
-    return np.asarray((a * b).sum(1) / np.maximum(scale, 1e-3), np.float64)
+    return np.asarray(correlation(here, seen) > ALIKE, np.bool_)

@@ -21,6 +21,7 @@ from lfrig.processing.kernels.colour_evidence import ColourTerm, add_colour_evid
 from lfrig.processing.kernels.fusion import Pool, add_evidence, first_surface
 from lfrig.processing.model import F32, U8, Camera, Pose, Source
 from lfrig.processing.tone import Tone, blurred, fit_tone, saturation
+from lfrig.processing.visibility import carry
 
 
 @dataclass(frozen=True)
@@ -154,10 +155,11 @@ def _add_colours(
     own = blurred(photo, blur)
     rough = np.asarray(planes[0] + planes[1] * volume[::TONE_STRIDE, ::TONE_STRIDE].argmax(2), np.float32)
     with_mask = np.dstack([own, saturation(photo, blur)])
-    tones = [_tone_at(rough, own, blurred(s.light_field.centre_view, blur), s, target) for s in sources]
-    for source, tone in zip(sources, tones, strict=True):
+    for source in sources:
         view = source.light_field.centre_view
-        image = np.dstack([tone.apply(blurred(view, blur)), saturation(view, blur)])
+        colour = blurred(view, blur)
+        tone = _tone_at(rough, own, colour, source, target)
+        image = np.dstack([tone.apply(colour), saturation(view, blur)])
         add_colour_evidence(
             volume, with_mask, image, source.evidence.disparity, source.scale,
             projection(*target, source.camera, source.pose), planes, term, threads=threads,
@@ -171,10 +173,7 @@ def _tone_at(rough: F32, own: F32, colour: F32, source: Source, target: tuple[Ca
     """Tone of a source from its colours at a rough surface [1/m] on every `TONE_STRIDE`-th pixel."""
     import cv2
 
-    ys, xs = (TONE_STRIDE * np.mgrid[0 : rough.shape[0], 0 : rough.shape[1]]).astype(np.float32)
-    u, v, _ = project(*projection(*target, source.camera, source.pose), xs, ys, rough)
-    u, v = np.nan_to_num(u, nan=-9e3), np.nan_to_num(v, nan=-9e3)
-    inside = (u >= 0) & (v >= 0) & (u <= source.camera.width - 1) & (v <= source.camera.height - 1)
+    u, v, _, inside = carry(rough, source, *target, stride=TONE_STRIDE)
     found = cv2.remap(colour, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return fit_tone(own[::TONE_STRIDE, ::TONE_STRIDE], np.asarray(found, np.float32), inside)
 

@@ -48,7 +48,7 @@ from lfrig.processing.sharpness import warn_of_defocus
 from lfrig.processing.stages import StageClock
 from lfrig.processing.still import warn_of_still_background
 from lfrig.processing.synthesis import SynthesisSettings, render_views
-from lfrig.processing.visibility import land
+from lfrig.processing.visibility import count_agreeing, land
 from lfrig.processing.wide_baseline import WideBaselineSettings, WideMatch, refine_wide
 
 PRESETS = ("fast",)
@@ -329,7 +329,7 @@ def _refine(
     landings = [land(inverse_depth, source, camera, pose) for source in ready]
     clues = Clues(fused, peak, planes, match, decided, inverse_depth, image, ready, landings, camera, pose)
     probability, sigma_px = confidence_model.estimate(clues, px)
-    agreeing = np.asarray(sum(landing.agrees(knobs.support_px).astype(np.float32) for landing in landings), np.float32)
+    agreeing = count_agreeing(landings, knobs.support_px)
     surface = Surface(inverse_depth, probability, np.asarray(sigma_px / px, np.float32), agreeing)
     return surface, int((inverse_depth != planes.value).sum())
 

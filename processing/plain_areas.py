@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfrig.processing.model import F32, F64
+from lfrig.processing.tone import blurred
 
 
 @dataclass(frozen=True)
@@ -85,25 +86,25 @@ def find_plain_areas(
     own: F32 = np.asarray(centre / np.float32(64), np.float32)
     swell = 1 + settings.growth * noise
     blur, window = swell * settings.blur_px, swell * settings.window_px
-    blurred = _blur(own, blur)
-    gx = cv2.Sobel(blurred, cv2.CV_32F, 1, 0, scale=0.125)
-    gy = cv2.Sobel(blurred, cv2.CV_32F, 0, 1, scale=0.125)
+    soft = blurred(own, blur)
+    gx = cv2.Sobel(soft, cv2.CV_32F, 1, 0, scale=0.125)
+    gy = cv2.Sobel(soft, cv2.CV_32F, 0, 1, scale=0.125)
     by_row, by_column = np.zeros_like(own), np.zeros_like(own)
     power = np.zeros_like(_half(own))
     for (dr, dc), view in zip(offsets, grey, strict=True):
         difference: F32 = np.asarray(view / np.float32(64) - own, np.float32)
         by_row += np.float32(dr) * difference
         by_column += np.float32(dc) * difference
-        power += _blur(_half(difference), blur / 2) ** 2
-    by_row, by_column = _blur(by_row, blur), _blur(by_column, blur)
+        power += blurred(_half(difference), blur / 2) ** 2
+    by_row, by_column = blurred(by_row, blur), blurred(by_column, blur)
     rows, columns = (float((offsets[:, i] ** 2).sum()) for i in (0, 1))
     cross = float((offsets[:, 0] * offsets[:, 1]).sum())
-    numerator = _blur(gx * by_column + gy * by_row, window)
-    denominator = _blur(columns * gx**2 + 2 * cross * gx * gy + rows * gy**2, window)
+    numerator = blurred(gx * by_column + gy * by_row, window)
+    denominator = blurred(columns * gx**2 + 2 * cross * gx * gy + rows * gy**2, window)
     disparity: F32 = np.asarray(numerator / np.maximum(denominator, np.float32(1e-9)), np.float32)
     sigma2 = settings.noise_grey**2 + (NOISE_THROUGH_BLUR * 2 / blur * noise) ** 2
     precision: F32 = np.asarray(denominator * np.float32(settings.gain / sigma2), np.float32)
-    total = cv2.resize(_blur(power, window / 2), own.shape[::-1], interpolation=cv2.INTER_LINEAR)
+    total = cv2.resize(blurred(power, window / 2), own.shape[::-1], interpolation=cv2.INTER_LINEAR)
     left: F32 = np.asarray((total - disparity**2 * denominator) / np.float32(len(grey)), np.float32)
     fits = np.clip(2 - left / np.float32(2 * settings.misfit * sigma2), 0, 1)
     shift = np.abs(disparity) * np.float32(np.abs(offsets).max() / (settings.reach * blur))
@@ -132,7 +133,7 @@ def _plainness(own: F32, noise: float, settings: PlainSettings) -> F32:
     """1 where no gradient within the clearance exceeds the threshold, falling to 0 at twice the threshold."""
     import cv2
 
-    light = _blur(own, 1.0)
+    light = blurred(own, 1.0)
     gx = cv2.Sobel(light, cv2.CV_32F, 1, 0, scale=0.125)
     gy = cv2.Sobel(light, cv2.CV_32F, 0, 1, scale=0.125)
     size = 2 * settings.clearance_px + 1
@@ -147,9 +148,3 @@ def _half(image: F32) -> F32:
 
     size = max(1, image.shape[1] // 2), max(1, image.shape[0] // 2)
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.float32)
-
-
-def _blur(image: F32, sigma: float) -> F32:
-    import cv2
-
-    return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma), np.float32)

@@ -13,6 +13,7 @@ import numpy as np
 
 from lfrig.contracts.progress import Monitor
 from lfrig.processing.model import F32, F64, U8, Camera, LightField
+from lfrig.processing.patch import correlation, patch_window
 
 MAX_CORNERS = 500
 MIN_STILL = 8
@@ -98,14 +99,13 @@ def _correlation(a: U8, b: U8, here: F32, there: F32, zoom: float) -> F64:
 
     if not len(here):
         return np.zeros(0)
-    window = np.stack(np.meshgrid(*[np.arange(-RADIUS, RADIUS + 1, dtype=np.float32)] * 2), -1).reshape(1, -1, 2)
+    window = patch_window(RADIUS)
     patches = []
     for picture, points, size in ((a, here, 1.0), (b, there, zoom)):
         places = points[:, None] + window * np.float32(size)
         seen = cv2.remap(picture.astype(np.float32), places[..., 0], places[..., 1], cv2.INTER_LINEAR)
-        patches.append(seen - seen.mean(1, keepdims=True))
-    p, q = patches
-    return np.asarray((p * q).sum(1) / np.maximum(np.sqrt((p * p).sum(1) * (q * q).sum(1)), 1e-3), np.float64)
+        patches.append(np.asarray(seen, np.float32))
+    return correlation(*patches)
 
 
 def _agreeing(here: F32, there: F32, zoom: float) -> int:

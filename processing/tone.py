@@ -22,6 +22,8 @@ GAMMA_LIMITS = (0.6, 1.6)
 SPREAD = 0.15
 """Standard deviation of log values below which only a gain is fitted."""
 SATURATED_GREY = 250
+LUMA = np.array([0.299, 0.587, 0.114], np.float32)
+"""Rec. 601."""
 
 
 @dataclass(frozen=True)
@@ -75,11 +77,11 @@ def _fit_channel(photo: F32, source: F32) -> tuple[float, float]:
     return float(np.exp(level)), slope
 
 
-def blurred(image: U8, sigma: float) -> F32:
-    """Grey levels float32 [H, W, 3] of an 8-bit image, blurred."""
+def blurred(image: U8 | F32, sigma: float) -> F32:
+    """Grey levels float32 of an image [H, W] or [H, W, 3], blurred."""
     import cv2
 
-    return np.asarray(cv2.GaussianBlur(image.astype(np.float32), (0, 0), sigma), np.float32)
+    return np.asarray(cv2.GaussianBlur(image.astype(np.float32, copy=False), (0, 0), sigma), np.float32)
 
 
 def saturation(image: U8, sigma: float) -> F32:

@@ -49,13 +49,30 @@ def land(inverse_depth: F32, source: Source, camera: Camera, pose: Pose) -> Land
     """Carry a surface float32 [H, W] (1/m, in the frame of ``camera`` at ``pose``) into a source."""
     import cv2
 
-    ys, xs = np.mgrid[0 : camera.height, 0 : camera.width].astype(np.float32)
+    u, v, w, inside = carry(inverse_depth, source, camera, pose)
+    own = cv2.remap(source.evidence.disparity, u, v, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)
+    ahead = np.asarray(own - source.scale.disparity(np.nan_to_num(w)), np.float32)
+    return Landing(u, v, inside, ahead)
+
+
+def carry(
+    inverse_depth: F32, source: Source, camera: Camera, pose: Pose, stride: int = 1
+) -> tuple[F32, F32, F32, Mask]:
+    """Where points lie in a source: u, v [px], far outside for points behind it; inverse depth there [1/m]; in frame.
+
+    ``inverse_depth`` is known at every ``stride``-th pixel of ``camera``.
+    """
+    height, width = inverse_depth.shape
+    ys, xs = (stride * np.mgrid[0:height, 0:width]).astype(np.float32)
     u, v, w = project(*projection(camera, pose, source.camera, source.pose), xs, ys, inverse_depth)
     u, v = np.nan_to_num(u, nan=FAR_OUTSIDE), np.nan_to_num(v, nan=FAR_OUTSIDE)
-    own = cv2.remap(source.evidence.disparity, u, v, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)
     inside = (u >= 0) & (v >= 0) & (u <= source.camera.width - 1) & (v <= source.camera.height - 1)
-    ahead = np.asarray(own - source.scale.disparity(np.nan_to_num(w)), np.float32)
-    return Landing(u, v, np.asarray(inside), ahead)
+    return u, v, w, np.asarray(inside)
+
+
+def count_agreeing(landings: Sequence[Landing], tolerance_px: float) -> F32:
+    """How many sources agree with each point, float32 [H, W]."""
+    return np.asarray(sum(landing.agrees(tolerance_px).astype(np.float32) for landing in landings), np.float32)
 
 
 def support(
@@ -69,5 +86,4 @@ def support(
     in_view : bool [H, W], inside at least one source's frame.
     """
     landings = [land(inverse_depth, source, camera, pose) for source in sources]
-    agreeing = np.asarray(sum(landing.agrees(tolerance_px).astype(np.float32) for landing in landings), np.float32)
-    return agreeing, np.asarray(np.any([landing.inside for landing in landings], axis=0))
+    return count_agreeing(landings, tolerance_px), np.asarray(np.any([landing.inside for landing in landings], axis=0))

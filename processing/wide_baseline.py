@@ -20,6 +20,7 @@ from lfrig.processing.kernels.band_cost import Patch, band_cost
 from lfrig.processing.kernels.sgm import I16, aggregate
 from lfrig.processing.model import F32, U8, Camera, Pose, Source
 from lfrig.processing.plane_fit import Planes
+from lfrig.processing.tone import LUMA
 from lfrig.processing.visibility import Mask, land, support
 
 
@@ -48,7 +49,6 @@ class WideBaselineSettings:
 
 
 DEFAULT_WIDE_BASELINE = WideBaselineSettings()
-LUMA = np.array([0.299, 0.587, 0.114], np.float32)
 LUMA_NOISE = 0.45
 """Variance of luma from independent noise of variance 1 in R, G and B."""
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from lfrig.processing.confidence.clues import Clues
 from lfrig.processing.model import F32
+from lfrig.processing.tone import LUMA
 from lfrig.processing.visibility import Mask
 
 LEAST_REST = 1e-7
@@ -21,7 +22,6 @@ SURE_REST = 0.05
 STEP_PX = 0.06
 STEP_REACH = 12.0
 WINDOWS = (5, 13, 25)
-LUMA = np.array([0.299, 0.587, 0.114], np.float32)
 
 
 def feature_maps(clues: Clues) -> dict[str, F32]:

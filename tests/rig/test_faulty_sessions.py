@@ -29,8 +29,11 @@ GEOMETRY = 4
 GOOD_DEPTH = 0.045
 """Median relative error of depth that a session without a fault keeps at this small size."""
 
-AS_GOOD = 1.25
+AS_GOOD = 1.1
 """How many times that of the session without the fault it may be with a fault that was corrected."""
+
+DEFOCUSED = 1.25
+"""The same of a capture that is out of focus: its light field is used, and worse."""
 
 FOCAL_CORRECTED = 0.006
 """A focal length that was 15 % off comes back to about 0.3 %: its depths are less sure than recorded ones."""
@@ -121,7 +124,7 @@ def test_a_defocused_capture_is_named(tmp_path: Path, good: dict[str, float]) ->
     soft = blur(shot().captures["001"].pixels, 1.5)
     result, warnings = processed(write(tmp_path / "session", shot(), pixels={"001": soft}))
     assert "capture 001" in warnings["out-of-focus"] and "again" in warnings["out-of-focus"]
-    assert depth_error(result, shot()) < AS_GOOD * good["tabletop"]
+    assert depth_error(result, shot()) < DEFOCUSED * good["tabletop"]
 
 
 @pytest.mark.parametrize("known", [True, False])

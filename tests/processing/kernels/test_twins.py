@@ -9,18 +9,11 @@ import pytest
 
 from lfrig.processing.kernels import fusion, plane_cost, sgm, spline, warp
 from lfrig.processing.model import Evidence, ScaleFit
+from tests.processing.kernels.twins import both
 
 pytestmark = pytest.mark.skipif(
     find_spec("lfrig.processing.kernels._native") is None, reason="no native core here: only the twins exist"
 )
-
-
-def both(monkeypatch: pytest.MonkeyPatch, call):  # type: ignore[no-untyped-def]
-    """(native result, twin result) of ``call()``."""
-    monkeypatch.setenv("LFRIG_NATIVE", "1")
-    native = call()
-    monkeypatch.setenv("LFRIG_NATIVE", "0")
-    return native, call()
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (7, 5), (33, 65), (20, 130)])

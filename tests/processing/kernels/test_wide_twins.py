@@ -9,6 +9,7 @@ import pytest
 
 from lfrig.processing.kernels import band_cost, colour_evidence, sgm
 from lfrig.processing.model import ScaleFit
+from tests.processing.kernels.twins import both
 
 pytestmark = pytest.mark.skipif(
     find_spec("lfrig.processing.kernels._native") is None, reason="no native core here: only the twins exist"
@@ -16,14 +17,6 @@ pytestmark = pytest.mark.skipif(
 
 MATRIX = np.array([[1.0, 0.02, 0.3], [-0.01, 1.0, -0.4], [1e-4, -2e-4, 1.0]])
 OFFSET = np.array([3.0, 0.4, 0.05])
-
-
-def both(monkeypatch: pytest.MonkeyPatch, call):  # type: ignore[no-untyped-def]
-    """(native result, twin result) of ``call()``."""
-    monkeypatch.setenv("LFRIG_NATIVE", "1")
-    native = call()
-    monkeypatch.setenv("LFRIG_NATIVE", "0")
-    return native, call()
 
 
 def pictures(shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
