@@ -13,6 +13,7 @@ from lfrig.processing.geometry import world_points
 from lfrig.processing.model import Evidence, LightField, Photo, RigPrior, ScaleFit
 from lfrig.processing.poses import gate
 from lfrig.processing.poses.arrangement import Arrangement, Line
+from lfrig.processing.poses.confirm import confirmation, refuse_untied
 from lfrig.processing.poses.guide import Guide, disparity_around
 from lfrig.processing.poses.join_photo import join_located
 from lfrig.processing.poses.light_fields import (
@@ -262,6 +263,7 @@ def _polished(
     # Angles and focal lengths have been judged, and warned of, already.
     doubted = gate.doubts(solved, followed.fractions(), None)
     if doubted:
+        refuse_untied(confirmation(first, task.sources, task.evidence, task.target, guide), task.names, task.target.id)
         gate.warn_of_unconfirmed(doubted, followed.fractions(), task.names, task.target.id, monitor)
         return "colmap-turntable", Solved(first, followed)
     return "lf", Solved(solved, followed)

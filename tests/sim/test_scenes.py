@@ -6,11 +6,21 @@ import numpy as np
 import pytest
 
 from lfrig.contracts.errors import BadInput
+from lfrig.sim import scenes
 from lfrig.sim.optics import SimCamera
 from lfrig.sim.renderer import render_depth
 from lfrig.sim.rig import RIG_DEPTH_RANGE_M, SimulatedRig
 from lfrig.sim.scene import Kind, Scene, pack
-from lfrig.sim.scenes import REPORTING, REPORTING_OPTICS, SCENES, TUNING, TUNING_OPTICS, build_scene, optics_of
+from lfrig.sim.scenes import (
+    REPORTING,
+    REPORTING_OPTICS,
+    SCENES,
+    TUNING,
+    TUNING_OPTICS,
+    SceneBuilder,
+    build_scene,
+    optics_of,
+)
 from tests.sim.small import CENTRE, without_textures
 
 ANGLES_DEG = (-35.0, 0.0, 15.0, 30.0, 45.0, 60.0)
@@ -115,3 +125,20 @@ def test_seed_moves_what_stands_at_random(monkeypatch: pytest.MonkeyPatch) -> No
 def test_unknown_scene_names_the_known_ones() -> None:
     with pytest.raises(BadInput, match="tabletop"):
         build_scene("nowhere")
+
+
+def test_new_scenes_change_no_older_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    seeds: dict[str, int] = {}
+
+    def builder(name: str) -> SceneBuilder:
+        def build(seed: int) -> Scene:
+            seeds[name] = seed
+            return Scene(name, [])
+
+        return build
+
+    monkeypatch.setattr(scenes, "SCENES", {name: builder(name) for name in SCENES})
+    for name in SCENES:
+        build_scene(name)
+    assert [seeds[name] for name in ("tabletop", "desk", "mural")] == [0, 450, 850]
+    assert len(set(seeds.values())) == len(SCENES)
