@@ -53,6 +53,12 @@ DOUBTFUL_ADVANTAGE, DOUBTFUL_SHARE = 0.08, 0.5
 pattern that repeats, seen by two sources 35° apart), wrong one −0.05 to 0.02 and a share below 0.25."""
 
 
+PHOTO_ADVANTAGE, PHOTO_PART = 0.15, 0.5
+"""Of the photo's worse half, and that as a part of what sources have among themselves (their median). On the tuning
+scenes a photo in its place has 0.9 to 1.7 times the sources' advantage, one from behind, held by a table and a backdrop
+that look the same from there, 0.23 times."""
+
+
 @dataclass(frozen=True)
 class Agreement:
     """Of source i's patches in source j, or in the photo (last column): ``share`` float64 [N, N + 1] that are found
@@ -143,10 +149,12 @@ def check_agreement(sources: Sequence[Source], photo: Photo, camera: Camera, pos
             code="capture-disagrees",
             remedy="check its angle or pose and that nothing on the plate moved, or leave it out with --sources",
         )  # fmt: skip
-    _judge(
+    doubted = _judge(
         agreement.of_photo(), half.of_photo(), f"photo {photo.id}", "any source", monitor, code="photo-disagrees",
         remedy="take the photo of the same scene from between the sources, and check its pose if one is recorded",
     )  # fmt: skip
+    if not doubted:
+        _doubt_photo(half, f"photo {photo.id}", monitor)
     groups = agreement.groups()
     if len(groups) > 1:
         listed = " and ".join(", ".join(names[k] for k in group) for group in groups)
@@ -158,6 +166,20 @@ def check_agreement(sources: Sequence[Source], photo: Photo, camera: Camera, pos
     return agreement
 
 
+def _doubt_photo(half: Agreement, who: str, monitor: Monitor) -> None:
+    """Doubt a photo that fits the sources far worse, near or far, than they fit each other."""
+    share, advantage = half.of_photo()
+    among = [half.of_source(k)[1] for k in range(len(half.share))]
+    usual = float(np.nanmedian(among)) if np.isfinite(among).any() else float("nan")
+    if advantage < min(PHOTO_ADVANTAGE, PHOTO_PART * usual):
+        monitor.warn(
+            "pose-doubtful",
+            f"{who}: {share:.0%} of the near or of the far patches look alike where its pose puts them, "
+            f"{advantage:+.0%} against places aside; captures among each other have {usual:+.0%}. Check that it was "
+            "taken from between them (what repeats around the plate looks the same from behind)",
+        )
+
+
 def _judge(
     whole: tuple[float, float],
     half: tuple[float, float],
@@ -167,8 +189,10 @@ def _judge(
     *,
     code: str,
     remedy: str,
-) -> None:
-    """Refuse what is found no better than by chance; doubt what is found hardly better, or in one half only."""
+) -> bool:
+    """Refuse what is found no better than by chance; doubt what is found hardly better, or in one half only. Returns
+    whether it was doubted.
+    """
     share, advantage = whole
     said = f"{who}: {share:.0%} of the patches that it should share with {others} look alike where the poses put them"
     if advantage < REFUSE_ADVANTAGE and share < REFUSE_SHARE:
@@ -178,6 +202,9 @@ def _judge(
         monitor.warn("pose-doubtful", f"{said}, hardly more than elsewhere; {hint}")
     elif half[1] < HALF_ADVANTAGE and half[0] < REFUSE_SHARE:
         monitor.warn("pose-doubtful", f"{said}, but only the near or only the far ones; {hint}")
+    else:
+        return False
+    return True
 
 
 def _prepared(picture: U8, width: int) -> F32:

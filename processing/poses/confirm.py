@@ -57,7 +57,7 @@ def refuse_untied(confirmed: Agreement | None, names: Sequence[str], photo: str)
 
 
 def refuse_untied_photo(confirmed: Agreement | None, photo: str) -> None:
-    """Refuse a photo, found by its own matches only, that nothing near ties to a source (``photo-disagrees``)."""
+    """Refuse a photo that only its own matches place, and nothing near ties to a source (``photo-disagrees``)."""
     if confirmed is not None and any(
         len(group) == 1 and group[0] == len(confirmed.share) for group in confirmed.tied_groups()
     ):

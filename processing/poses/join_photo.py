@@ -41,7 +41,7 @@ def join_located(
 
     Its prior is kept where the two can be reconciled; else it is dropped with a warning.
     """
-    if known is None or not _near(located.pose, known):
+    if known is None or not is_near(located.pose, known):
         if known is not None:
             turn = rotation_angle_deg(located.pose.rotation, known.pose.rotation)
             monitor.warn(
@@ -77,7 +77,7 @@ def _nothing_known(located: Located) -> PhotoPrior:
     return PhotoPrior(pose, pose)
 
 
-def _near(pose: Pose, known: PhotoPrior) -> bool:
+def is_near(pose: Pose, known: PhotoPrior) -> bool:
     """Whether a located pose may be the expected one with the errors that its prior admits."""
     turn = rotation_angle_deg(pose.rotation, known.pose.rotation)
     reach = float(np.linalg.norm(known.pose.translation))

@@ -17,6 +17,7 @@ from lfrig.processing.poses.anchors import collect_anchors, common_scale, scale_
 from lfrig.processing.poses.confirm import confirmation, refuse_untied_photo
 from lfrig.processing.poses.features import extract_features
 from lfrig.processing.poses.guide import Guide
+from lfrig.processing.poses.join_photo import is_near
 from lfrig.processing.poses.matching import Gallery
 from lfrig.processing.poses.priors import depth_limits, has_turntable_prior, photo_prior
 from lfrig.processing.poses.solution import PoseMethod, PoseSolution, ScaleSource
@@ -66,7 +67,8 @@ def solve_poses(
             structure = solve_without_prior(sources, evidence, features(), target, monitor)
         else:
             structure = solve_with_prior(kind, sources, evidence, features(), target, prior, monitor)
-        if kind != "colmap" and photo_prior(target, prior) is None:
+        known = photo_prior(target, prior)
+        if kind != "colmap" and (known is None or not is_near(structure.poses[-1], known)):
             guide = Guide(sources, evidence, depth_limits(sources, prior), True)
             refuse_untied_photo(confirmation(structure, sources, evidence, target, guide), target.id)
         monitor.advance()

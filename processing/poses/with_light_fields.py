@@ -115,9 +115,15 @@ def solve_with_light_fields(task: Task, monitor: Monitor) -> tuple[str, Structur
     if solved is not None and solved.structure.noise_px < SURE_NOISE_PX:
         return "lf", solved.structure
     if solved is None:
-        _refuse_wrong_direction(task, looks, arrangement, monitor)
         held = _Held(monitor)
-        kind, other = _from_motion(task, looks, lines, held)
+        try:
+            kind, other = _from_motion(task, looks, lines, held)
+        except GeometryRefused:
+            _refuse_wrong_direction(task, looks, arrangement, monitor)
+            raise
+        # Asked last: what repeats around the plate may fit at the angles' negatives too.
+        if kind != "lf":
+            _refuse_wrong_direction(task, looks, arrangement, monitor)
         # What the light fields do not confirm is no correction.
         held.release(lambda notice: kind == "lf" or not notice.code.endswith("-corrected"))
         return kind, other.structure

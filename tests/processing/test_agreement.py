@@ -139,6 +139,20 @@ def test_a_background_that_fits_is_not_enough(sources: list[Source], monkeypatch
     assert notice.code == "pose-doubtful" and "capture 002" in notice.message
 
 
+@pytest.mark.parametrize(("found", "usual", "said"), [(0.09, 0.4, True), (0.2, 0.4, False), (0.09, 0.15, False)])
+def test_a_photo_that_fits_far_worse_than_the_sources(
+    sources: list[Source], monkeypatch: pytest.MonkeyPatch, found: float, usual: float, said: bool
+) -> None:
+    """Seen from behind, before a backdrop that repeats: the table still fits by its grain."""
+    share, advantage = np.full((3, 4), 0.8), np.full((3, 4), usual)
+    share[:, 3], advantage[:, 3] = 0.45, found
+    monkeypatch.setattr(agreement_module, "measure_agreement", lambda *_: of_halves(share, advantage))
+    monitor = Monitor()
+    check_agreement(sources, photo(), CAMERA, ASIDE, monitor)
+    assert [n.code for n in monitor.notices] == ["pose-doubtful"] * said
+    assert not said or "photo photo" in monitor.notices[0].message
+
+
 def test_the_worse_half_counts(sources: list[Source]) -> None:
     verdicts = measure_agreement(sources, photo(), CAMERA, ASIDE)
     assert verdicts.half is not None

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from itertools import combinations
+
 import cv2
 import numpy as np
 import pytest
@@ -72,6 +74,16 @@ def test_one_pair_of_many_is_not_believed() -> None:
     monitor = Monitor()
     warn_of_still_background(captures([first, second, noise(3)], [0.0, 15.0, 30.0], [300.0] * 3), monitor)
     assert monitor.notices == [] and still_share(first, second, 1.0) > STILL_SHARE
+
+
+def test_what_repeats_around_the_plate_does_not_stand_still() -> None:
+    """Captures a period apart look alike, the others do not."""
+    first, second = pictures(0.5)
+    images = [first, noise(3), second, noise(4), zoomed(first, 1.0)]
+    monitor = Monitor()
+    warn_of_still_background(captures(images, [0.0, 15.0, 30.0, 45.0, 60.0], [300.0] * 5), monitor)
+    assert monitor.notices == []
+    assert sum(still_share(a, b, 1.0) > STILL_SHARE for a, b in combinations(images, 2)) == 3
 
 
 def test_the_same_every_time() -> None:
