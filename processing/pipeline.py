@@ -21,6 +21,7 @@ from lfrig.contracts.result import StageReport
 from lfrig.processing import confidence as confidence_model
 from lfrig.processing.agreement import check_agreement
 from lfrig.processing.confidence import Clues
+from lfrig.processing.continuation import ContinuationSettings, continue_hidden
 from lfrig.processing.dpv import DpvSettings, auto_range, light_field_evidence
 from lfrig.processing.edges import EdgeSettings, decide_edges
 from lfrig.processing.fusion import FusionSettings, fuse, inverse_depth_range
@@ -65,6 +66,7 @@ class Settings:
     regularise: RegulariseSettings = field(default_factory=RegulariseSettings)
     refine: RefineSettings = field(default_factory=RefineSettings)
     wide_baseline: WideBaselineSettings = field(default_factory=WideBaselineSettings)
+    continuation: ContinuationSettings = field(default_factory=ContinuationSettings)
     edges: EdgeSettings = field(default_factory=EdgeSettings)
     synthesis: SynthesisSettings = field(default_factory=SynthesisSettings)
 
@@ -321,6 +323,8 @@ def _refine(
                 planes, ready, camera, pose, image, settings.wide_baseline, threads=threads, monitor=monitor
             )
             inverse_depth = match.inverse_depth
+            if settings.continuation.enabled:
+                inverse_depth, _ = continue_hidden(match, planes, ready, camera, pose, image, px, settings.continuation)
     if settings.edges.enabled:
         inverse_depth, _ = decide_edges(inverse_depth, ready, camera, pose, image, px, settings.edges)
     decided = inverse_depth

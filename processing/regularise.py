@@ -68,7 +68,11 @@ def regularise(
 
 
 def _regress(evidence: F32, is_log: bool, settings: RegulariseSettings) -> tuple[F32, F32]:
-    """Mean plane index and peak mass, float32 [H, W] each; rows in blocks to bound memory."""
+    """Mean plane index and peak mass, float32 [H, W] each; rows in blocks to bound memory.
+
+    The window lies around the peak between planes and fades at its ends: where two planes are equally good, rounding
+    decides which is the best, but not what comes out.
+    """
     height, width, planes = evidence.shape
     index, peak = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
     labels = np.arange(planes, dtype=np.float32)
@@ -77,9 +81,22 @@ def _regress(evidence: F32, is_log: bool, settings: RegulariseSettings) -> tuple
         block = evidence[y : y + rows]
         p = np.exp(block - block.max(2, keepdims=True)) if is_log else block.copy()
         p /= np.maximum(p.sum(2, keepdims=True), np.float32(1e-20))
-        near = np.abs(labels - p.argmax(2)[..., None]) <= settings.window
+        away = np.abs(labels - _peak(block, is_log)[..., None])
+        near = np.clip(np.float32(settings.window + 0.5) - away, 0, 1)
         peak[y : y + rows] = (p * near).sum(2)
         if settings.regression == "window":
             p *= near
         index[y : y + rows] = (p @ labels) / np.maximum(p.sum(2), np.float32(1e-20))
     return index, peak
+
+
+def _peak(evidence: F32, is_log: bool) -> F32:
+    """Where a parabola through the logarithms of the best plane and its neighbours has its top, float32 [H, W]."""
+    last = evidence.shape[2] - 1
+    best = evidence.argmax(2)
+    three = [np.take_along_axis(evidence, np.clip(best + d, 0, last)[..., None], 2)[..., 0] for d in (-1, 0, 1)]
+    before, at, after = three if is_log else (np.log(np.maximum(part, np.float32(1e-20))) for part in three)
+    bend = 2 * at - before - after
+    inner = (best > 0) & (best < last) & (bend > 0)
+    offset = np.where(inner, 0.5 * (after - before) / np.where(inner, bend, 1), 0)
+    return np.asarray(best + offset, np.float32)

@@ -36,13 +36,16 @@ class Landing:
 
     def contradicted(self, margin_px: float) -> F32:
         """How far each point floats before what the source sees there, 0..1 float32 [H, W]."""
-        return np.asarray(
-            np.clip((-self.ahead - np.float32(margin_px)) / np.float32(0.5 * margin_px), 0, 1), np.float32
-        )
+        return contradiction(self.ahead, margin_px)
 
     def agrees(self, tolerance_px: float) -> Mask:
         """Where the source's own disparity is that of the point."""
         return np.asarray(self.inside & (np.abs(self.ahead) < tolerance_px))
+
+
+def contradiction(ahead: F32, margin_px: float) -> F32:
+    """How far points float before what a source sees, 0..1 float32, from `Landing.ahead` [px per view step]."""
+    return np.asarray(np.clip((-ahead - np.float32(margin_px)) / np.float32(0.5 * margin_px), 0, 1), np.float32)
 
 
 def land(inverse_depth: F32, source: Source, camera: Camera, pose: Pose) -> Landing:

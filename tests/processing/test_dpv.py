@@ -118,3 +118,41 @@ def test_same_bytes_for_any_thread_count(light_field: LightField) -> None:
     one, three = (light_field_evidence(light_field, (-0.5, 0.5), threads=n) for n in (1, 3))
     assert one.probability.tobytes() == three.probability.tobytes()
     assert one.disparity.tobytes() == three.disparity.tobytes()
+
+
+def overexposed_print(disparity: float) -> LightField:
+    """Thin dark strokes on paper that clips, uint8 views 7×7 of 96×64 px; pixels are means of 8×8 samples."""
+    rng = np.random.default_rng(5)
+    fine, margin = 8, 4
+    height, width = (64 + 2 * margin) * fine, (96 + 2 * margin) * fine
+    paper = np.full((height, width), 1.0, np.float32)
+    for _ in range(420):
+        y, x = rng.integers(0, height - 40), rng.integers(0, width - 40)
+        tall, wide = ((6, 36), (36, 6))[rng.integers(2)]
+        paper[y : y + tall, x : x + wide] = 0.05
+    views = np.empty((7, 7, 64, 96, 3), np.uint8)
+    for r in range(7):
+        for c in range(7):
+            dy, dx = (margin * fine + round(fine * disparity * (i - 3)) for i in (r, c))
+            part = paper[dy : dy + 64 * fine, dx : dx + 96 * fine].reshape(64, fine, 96, fine).mean((1, 3))
+            views[r, c] = np.clip(np.rint(330 * part), 0, 255)[..., None]
+    return LightField("print", views)
+
+
+def test_clipped_strokes_do_not_draw_disparity_to_zero() -> None:
+    light_field = overexposed_print(0.25)
+    softened, sharp = (
+        light_field_evidence(light_field, (-0.6, 0.7), DpvSettings(clipped_blur_px=blur)).disparity[6:-6, 6:-6]
+        for blur in (1.0, 0.0)
+    )
+    assert abs(np.median(sharp)) < 0.05 and (np.abs(sharp - 0.25) < 0.08).mean() < 0.1
+    assert abs(np.median(softened) - 0.25) < 0.05 and (np.abs(softened - 0.25) < 0.08).mean() > 0.6
+
+
+def test_views_that_do_not_clip_are_left_alone() -> None:
+    light_field = scenes.light_field("a", 0.0)
+    softened, sharp = (
+        light_field_evidence(light_field, (-0.5, 0.5), DpvSettings(clipped_blur_px=blur)).probability
+        for blur in (1.0, 0.0)
+    )
+    assert np.array_equal(softened, sharp)

@@ -14,7 +14,7 @@ from lfrig.contracts.errors import BadInput, GeometryRefused, Interrupted, NotIn
 from lfrig.contracts.progress import Monitor
 from lfrig.processing.dpv import light_field_evidence
 from lfrig.processing.edges import EdgeSettings, decide_edges
-from lfrig.processing.fusion import FusionSettings, fuse, inverse_depth_range
+from lfrig.processing.fusion import FusedVolume, FusionSettings, fuse, inverse_depth_range
 from lfrig.processing.geometry import rotation_z
 from lfrig.processing.model import F32, Pose, RigPrior, ScaleFit, Source
 from lfrig.processing.pipeline import ProcessOptions, process
@@ -291,3 +291,17 @@ def test_cancel_stops_it() -> None:
 
     with pytest.raises(Interrupted):
         run(monitor=Stops())
+
+
+def test_two_planes_equally_good_give_what_lies_between_them() -> None:
+    # Heavy tails to one side: a window that jumps with the best plane would take in another plane of them.
+    lobe = -np.abs(np.arange(24, dtype=np.float32) - 9.5) * np.float32(0.4)
+    lobe[10:] *= np.float32(0.6)
+    lobe[9] = lobe[10] = -0.1
+    found = []
+    for favoured in (9, 10):
+        evidence = np.tile(lobe, (2, 2, 1))
+        evidence[..., favoured] += np.float32(1e-6)
+        volume = FusedVolume(np.ascontiguousarray(evidence), (0.0, 1.0), True, 0, 0)
+        found.append(regularise(volume, np.zeros((2, 2, 3), np.uint8), RegulariseSettings(method="none"))[0])
+    assert np.abs(found[0] - found[1]).max() < 1e-4
