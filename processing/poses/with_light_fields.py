@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,7 +10,7 @@ import numpy as np
 from lfrig.contracts.errors import GeometryRefused
 from lfrig.contracts.progress import Monitor, Notice
 from lfrig.processing.geometry import world_points
-from lfrig.processing.model import Evidence, LightField, Photo, RigPrior, ScaleFit
+from lfrig.processing.model import F64, Evidence, LightField, Photo, RigPrior, ScaleFit
 from lfrig.processing.poses import gate
 from lfrig.processing.poses.arrangement import Arrangement, Line
 from lfrig.processing.poses.confirm import confirmation, refuse_untied
@@ -41,6 +41,7 @@ from lfrig.processing.poses.tracks import Observations
 from lfrig.processing.poses.with_prior import solve_with_prior
 
 MAX_TRIED = 2
+MAX_SHIFTED = 3
 SURE_NOISE_PX = 0.1
 """Aligned patches of a right geometry agree to 0.04–0.08 px; above this another start is tried as well."""
 
@@ -163,16 +164,32 @@ def _by_light_fields(task: Task, looks: Looks, arrangement: Arrangement, monitor
         return None
     if known is not None:
         whole = with_photo(arrangement, task.target, known)
-        rough = first_pass(looks, whole, np.zeros(whole.size), task.rough_range_m, monitor)
-        solved = _finished(task, looks, rough, monitor)
-        if solved is not None:
-            return solved
+        for start in _starts(whole):
+            rough = first_pass(looks, whole, start, task.rough_range_m, monitor)
+            solved = _finished(task, looks, rough, monitor)
+            if solved is not None:
+                return solved
     zero = np.zeros(arrangement.size)
     if widest_link_deg(arrangement.poses(zero)) > ALONE_STEP_DEG or len(task.sources) == 1:
         # Too far apart without the photo between them: it is located from the priors as they are.
         return None if known is None else _with_located_photo(task, looks, bare(arrangement), known, monitor)
     alone = _finished(task, looks, first_pass(looks, arrangement, zero, task.rough_range_m, monitor), monitor)
     return None if alone is None else _with_located_photo(task, looks, alone.structure, known, monitor)
+
+
+def _starts(whole: Arrangement) -> Iterator[F64]:
+    """The priors as they are; then with one view, the photo first, turned by its sigma to one side or the other.
+
+    On texture that repeats the flow may follow into the next period; from a little further it need not, and a wrong
+    period does not pass the gate.
+    """
+    yield np.zeros(whole.size)
+    for v in reversed(range(len(whole.views))[-MAX_SHIFTED:]):
+        for side in (-1, 1):
+            x = np.zeros(whole.size)
+            x[whole.turns.start + v] = side * np.deg2rad(whole.views[v].sigma_angle_deg)
+            if x.any():
+                yield x
 
 
 def _finished(task: Task, looks: Looks, rough: Structure | None, monitor: Monitor) -> Solved | None:
