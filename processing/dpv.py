@@ -261,14 +261,15 @@ def _soften_clipped(grey: NDArray[np.int16], views: U8, blur_px: float) -> None:
 
     Clipping comes after the lens and the pixel have filtered the light, and puts frequencies back that the grid cannot
     carry. Interpolated between pixels, such strokes match worse than unmoved: disparity is drawn to zero, where nothing
-    is interpolated, by more than what the true plane wins.
+    is interpolated, by more than what the true plane wins. Only where all channels clip: where one does, luma keeps its
+    shape, and large bright squares that repeat lose what little tells them apart.
     """
     import cv2
 
     size = 2 * CLIPPED_REACH_PX + 1
     window = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
     for view, picture in zip(grey, views.reshape(-1, *views.shape[-3:]), strict=True):
-        clipped = (picture.max(2) >= SATURATED_GREY).astype(np.uint8)
+        clipped = (picture.min(2) >= SATURATED_GREY).astype(np.uint8)
         if clipped.any():
             share = blurred(np.asarray(cv2.dilate(clipped, window), np.float32), 1.0)
             own: F32 = view.astype(np.float32)
