@@ -69,6 +69,10 @@ class ContinuationSettings:
     """Sum of the absolute RGB differences that makes a step twice as long."""
     slope_reach: float = 40.0
     """Distance up to which a slope is followed; beyond it the surface goes on frontally."""
+    nearer_px: float = 0.3
+    farther_px: float = 0.07
+    """How far a pixel may be moved [px per view step of the request]. Planes that come nearer end where they would hide
+    what a source sees; nothing ends those that recede (without a bound: MSE +6 %, *colonnade* +24 %)."""
     longest: int = 150
     """Steps after which what has not been reached stays as it was."""
 
@@ -151,6 +155,9 @@ def continue_hidden(
     seen = _most(landings, settings.margin_px) > 0.5
     still_seen = _most([land(out, source, camera, pose) for source in sources], settings.margin_px) > 0.5
     out = np.where(seen & still_seen, surface, out)
+    out = surface + np.clip(
+        out - surface, -settings.farther_px / px_per_inverse, settings.nearer_px / px_per_inverse, dtype=np.float32
+    )
     return out, int((out != surface).sum())
 
 
