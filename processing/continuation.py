@@ -19,11 +19,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from lfrig.processing.geometry import project, projection
+from lfrig.processing.match_doubt import excess_cost, layer_mean, local_variance
 from lfrig.processing.model import F32, U8, Camera, Pose, Source
 from lfrig.processing.plane_fit import Planes, local_planes
-from lfrig.processing.tone import LUMA
 from lfrig.processing.visibility import Landing, Mask, contradiction, count_agreeing, land
-from lfrig.processing.wide_baseline import DEFAULT_WIDE_BASELINE, LUMA_NOISE, WideMatch
+from lfrig.processing.wide_baseline import WideMatch
 
 
 @dataclass(frozen=True)
@@ -177,8 +177,8 @@ def _find_areas(
     floating = np.zeros_like(hidden)
     for landing in landings:
         floating |= landing.inside & (landing.contradicted(settings.contradiction_px) > 0.5)
-    cost = _layer_mean(match.cost, match.inverse_depth, settings.layer_px / px_per_inverse, settings.window)
-    cost = excess_cost(cost, _variance(photo, settings.window), noise_sigma)
+    cost = layer_mean(match.cost, match.inverse_depth, settings.layer_px / px_per_inverse, settings.window)
+    cost = excess_cost(cost, local_variance(photo, settings.window), noise_sigma)
     doubtful = (cost > settings.doubt_cost) & (agreeing < settings.enough)
     mistaken = ((agreeing == 0) | doubtful) & ~floating
     square = np.ones((settings.least_area, settings.least_area), np.uint8)
@@ -280,44 +280,6 @@ def _floats(
 def _most(landings: Sequence[Landing], margin_px: float) -> F32:
     """How far the source that sees it best sees each point, float32 [H, W]."""
     return np.asarray(np.max([landing.visible(margin_px) for landing in landings], axis=0), np.float32)
-
-
-def _layer_mean(cost: F32, surface: F32, sigma: float, window: int) -> F32:
-    """Mean cost over every other pixel of a window, of those at about the same inverse depth, float32 [H, W]."""
-    height, width = cost.shape
-    reach = window // 2
-    padded_cost, padded_surface = (np.pad(part, reach, mode="edge") for part in (cost, surface))
-    total, mass = np.zeros_like(cost), np.zeros_like(cost)
-    for dy in range(0, window, 2):
-        for dx in range(0, window, 2):
-            there = (slice(dy, dy + height), slice(dx, dx + width))
-            weight = np.exp(-(((padded_surface[there] - surface) / np.float32(sigma)) ** 2))
-            total += weight * padded_cost[there]
-            mass += weight
-    return np.asarray(total / np.maximum(mass, np.float32(1e-6)), np.float32)
-
-
-def excess_cost(cost: F32, variance: F32, noise_sigma: float) -> F32:
-    """By how much a match is poorer than noise and rounding explain, 0..1 float32 [H, W]; 0 where they explain half.
-
-    Of texture with a measured variance v, which noise of variance n is part of, `band_cost` finds a correlation of
-    (v − n) / (v + f) at best, with the variance f that counts as no texture.
-    """
-    noise = np.float32(LUMA_NOISE * noise_sigma**2)
-    floor = np.float32(DEFAULT_WIDE_BASELINE.noise_floor) + noise
-    expected = np.clip((noise + floor) / np.maximum(variance + floor, np.float32(1e-6)), 0, 1)
-    excess = np.maximum(cost - expected, 0) / np.maximum(1 - expected, np.float32(1e-6))
-    return np.asarray(np.where(expected < 0.5, excess, 0), np.float32)
-
-
-def _variance(photo: U8, window: int) -> F32:
-    """Variance of luma over a window [grey levels²], float32 [H, W]."""
-    import cv2
-
-    luma = photo.astype(np.float32) @ LUMA
-    luma -= luma.mean()
-    mean, square = (cv2.blur(part, (window, window)) for part in (luma, luma * luma))
-    return np.asarray(square - mean * mean, np.float32)
 
 
 def _joined(area: Mask, core: Mask) -> Mask:

@@ -7,7 +7,8 @@ from functools import cache
 
 import numpy as np
 
-from lfrig.processing.continuation import continue_hidden, excess_cost
+from lfrig.processing.continuation import DEFAULT_CONTINUATION, continue_hidden
+from lfrig.processing.match_doubt import excess_cost
 from lfrig.processing.model import F32, U8, Camera, Evidence, LightField, Optics, Pose, ScaleFit, Source
 from lfrig.processing.plane_fit import Planes
 from lfrig.processing.visibility import Mask, land
@@ -129,3 +130,18 @@ def test_without_hidden_areas_nothing_is_done() -> None:
     match = WideMatch(flat, nothing + 1, nothing + 1, nothing > 0, nothing, nothing)
     out, filled = continue_hidden(match, Planes(flat, nothing, nothing), [seen], CAMERA, HERE, photo(), PX)
     assert filled == 0 and out is flat
+
+
+def test_planes_move_a_pixel_no_further_than_they_may() -> None:
+    match, planes = drawn_frontally()
+    moved = []
+    for nearer, farther in ((9.0, 9.0), (0.02, 9.0), (9.0, 0.02)):
+        bounds = replace(DEFAULT_CONTINUATION, nearer_px=nearer, farther_px=farther)
+        out, _ = continue_hidden(match, planes, [source()], CAMERA, HERE, photo(), PX, bounds)
+        moved.append(PX * (out - match.inverse_depth))
+    free, near, far = moved
+    assert np.abs(free).max() > 0.04
+    assert near.max() < 0.0201 and far.min() > -0.0201
+    assert np.array_equal(near[free < 0.01], free[free < 0.01]) and np.array_equal(
+        far[free > -0.01], free[free > -0.01]
+    )

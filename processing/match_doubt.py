@@ -1,0 +1,47 @@
+"""How much poorer photo and sources match than noise and rounding explain."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lfrig.processing.model import F32, U8
+from lfrig.processing.tone import LUMA
+from lfrig.processing.wide_baseline import DEFAULT_WIDE_BASELINE, LUMA_NOISE
+
+
+def layer_mean(cost: F32, surface: F32, sigma: float, window: int) -> F32:
+    """Mean cost over every other pixel of a window, of those at about the same inverse depth, float32 [H, W]."""
+    height, width = cost.shape
+    reach = window // 2
+    padded_cost, padded_surface = (np.pad(part, reach, mode="edge") for part in (cost, surface))
+    total, mass = np.zeros_like(cost), np.zeros_like(cost)
+    for dy in range(0, window, 2):
+        for dx in range(0, window, 2):
+            there = (slice(dy, dy + height), slice(dx, dx + width))
+            weight = np.exp(-(((padded_surface[there] - surface) / np.float32(sigma)) ** 2))
+            total += weight * padded_cost[there]
+            mass += weight
+    return np.asarray(total / np.maximum(mass, np.float32(1e-6)), np.float32)
+
+
+def excess_cost(cost: F32, variance: F32, noise_sigma: float) -> F32:
+    """By how much a match is poorer than noise and rounding explain, 0..1 float32 [H, W]; 0 where they explain half.
+
+    Of texture with a measured variance v, which noise of variance n is part of, `band_cost` finds a correlation of
+    (v − n) / (v + f) at best, with the variance f that counts as no texture.
+    """
+    noise = np.float32(LUMA_NOISE * noise_sigma**2)
+    floor = np.float32(DEFAULT_WIDE_BASELINE.noise_floor) + noise
+    expected = np.clip((noise + floor) / np.maximum(variance + floor, np.float32(1e-6)), 0, 1)
+    excess = np.maximum(cost - expected, 0) / np.maximum(1 - expected, np.float32(1e-6))
+    return np.asarray(np.where(expected < 0.5, excess, 0), np.float32)
+
+
+def local_variance(photo: U8, window: int) -> F32:
+    """Variance of luma over a window [grey levels²], float32 [H, W]."""
+    import cv2
+
+    luma = photo.astype(np.float32) @ LUMA
+    luma -= luma.mean()
+    mean, square = (cv2.blur(part, (window, window)) for part in (luma, luma * luma))
+    return np.asarray(square - mean * mean, np.float32)
