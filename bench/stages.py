@@ -19,7 +19,8 @@ class Stage:
 def stage_table() -> tuple[Stage, ...]:
     """All steps in order, each with one thing changed."""
     shipped = Settings()
-    refined = replace(shipped, refine=replace(shipped.refine, snap=False))
+    continued = replace(shipped, refine=replace(shipped.refine, snap=False))
+    refined = replace(continued, continuation=replace(shipped.continuation, enabled=False))
     tested = replace(refined, wide_baseline=replace(shipped.wide_baseline, enabled=False))
     regularised = replace(tested, edges=replace(shipped.edges, enabled=False))
     surface = replace(
@@ -45,5 +46,6 @@ def stage_table() -> tuple[Stage, ...]:
         Stage("sgm", "C: + SGM on the fused volume, plane fit", regularised),
         Stage("edges", "+ edge test in the photo's colours", tested),
         Stage("wide-baseline", "D: + narrow-band wide-baseline refinement", refined),
+        Stage("continuation", "+ hidden areas continue the planes beside them", continued),
         Stage("snap", "preset fast: + snap to the photo's edges", shipped),
     )
