@@ -25,6 +25,9 @@ MAX_PATCHES = 300
 MIN_PATCHES = 24
 """With fewer textured patches in common two pictures are not judged."""
 
+PLAIN_GREY = 0.5
+"""Standard deviation below which a picture shows nothing to compare with."""
+
 RADIUS = 5
 BLUR_PX = 1.2
 """At `WIDTH` px: the geometry may be a pixel or two off and patches still look alike."""
@@ -126,7 +129,7 @@ def measure_agreement(sources: Sequence[Source], photo: Photo, camera: Camera, p
     for i, source in enumerate(sources):
         patches = _patches(source, pictures[i])
         for j, there in enumerate(places):
-            if j != i:
+            if j != i and float(pictures[j].std()) >= PLAIN_GREY:
                 found[:, i, j] = _compare(source, patches, pictures[i], there, pictures[j])
     return Agreement(found[0], found[1], Agreement(found[2], found[3]))
 

@@ -153,6 +153,13 @@ def test_a_photo_that_fits_far_worse_than_the_sources(
     assert not said or "photo photo" in monitor.notices[0].message
 
 
+def test_a_photo_that_shows_nothing_is_not_judged(sources: list[Source]) -> None:
+    monitor = Monitor()
+    plain = replace(photo(), image=np.full_like(photo().image, 90))
+    agreement = check_agreement(sources, plain, CAMERA, ASIDE, monitor)
+    assert np.isnan(agreement.of_photo()).all() and monitor.notices == []
+
+
 def test_the_worse_half_counts(sources: list[Source]) -> None:
     verdicts = measure_agreement(sources, photo(), CAMERA, ASIDE)
     assert verdicts.half is not None
