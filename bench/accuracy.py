@@ -31,11 +31,11 @@ from lfrig.bench.cases import FAR_DEG, FULL, NEAR_DEG, TARGET_DEG, Case, scene_n
 from lfrig.bench.decode_cost import decode_cost_rows, decode_cost_tables
 from lfrig.bench.document import write
 from lfrig.bench.inputs import INPUTS, TITLES, Input, seen_sources, with_views_of
-from lfrig.bench.measure import Cost, Muted, in_fresh_process
+from lfrig.bench.measure import Cost, in_fresh_process
 from lfrig.bench.stages import Stage, stage_table
 from lfrig.contracts.bench import BenchDocument
 from lfrig.contracts.errors import GeometryRefused, LfrigError
-from lfrig.contracts.progress import Monitor
+from lfrig.contracts.progress import Monitor, Muted
 from lfrig.contracts.score import LightFieldScore
 from lfrig.processing.metrics import inner_region, reliability, sparsification
 from lfrig.processing.model import F32, Evidence

@@ -25,6 +25,7 @@ import numpy as np
 
 from lfrig.bench.cases import FULL, Case, scene_names, shoot_case
 from lfrig.bench.confidence_fit import EPOCHS, Shot, draw, log_sigma_at_request, logit_curve, sigma_curve, train
+from lfrig.bench.document import Column, markdown_table
 from lfrig.contracts.progress import Monitor
 from lfrig.processing import confidence
 from lfrig.processing.confidence import Clues, ConfidenceModel
@@ -35,6 +36,15 @@ from lfrig.processing.pipeline import process
 from lfrig.sim.rig import Poses
 
 NOISE_GREY = 5.0
+FIGURE_COLUMNS = (
+    Column("scene", "scene"), Column("setup", "setup"), Column("mean_error_px", "mean \\|error\\| px", ".4f"),
+    Column("within_tolerance", "within .1 px %", ".1f"), Column("ause_of_random", "AUSE / random", ".3f"),
+    Column("ece", "ECE", ".3f"), Column("within_sigma", "within σ %", ".0f"),
+)  # fmt: skip
+CURVE_COLUMNS = (
+    Column("setup", "setup"), Column("predicted", "predicted %", ".1f"), Column("observed", "observed %", ".1f"),
+    Column("share", "pixels %", ".2f"),
+)  # fmt: skip
 EVALUATED: tuple[tuple[Poses, int], ...] = (("given", 2), ("given", 4), ("prior", 2), ("prior", 4))
 
 
@@ -159,25 +169,20 @@ def table(rows: Iterable[dict[str, Any]]) -> str:
                 key: float(np.mean([row[key] for row in same])) for key in same[0] if key not in ("scene", "setup")
             }
             listed.append({"scene": "**mean**", "setup": setup, **means})
-    lines = ["| scene | setup | mean \\|error\\| px | within .1 px % | AUSE / random | ECE | within σ % |"]
-    lines.append("|---|---|---|---|---|---|---|")
-    lines += [
-        f"| {r['scene']} | {r['setup']} | {r['mean_error_px']:.4f} | {100 * r['within_tolerance']:.1f} "
-        f"| {r['ause_of_random']:.3f} | {r['ece']:.3f} | {100 * r['within_sigma']:.0f} |"
-        for r in listed
-    ]
-    return "\n".join(lines)
+    percent = ("within_tolerance", "within_sigma")
+    return markdown_table([row | {key: 100 * row[key] for key in percent} for row in listed], FIGURE_COLUMNS)
 
 
 def curve_table(curves: dict[str, Reliability]) -> str:
     """Reliability curves as Markdown: what was predicted, what happened."""
-    lines = ["| setup | predicted % | observed % | pixels % |", "|---|---|---|---|"]
-    for setup, curve in curves.items():
-        for predicted, observed, count in zip(curve.predicted, curve.observed, curve.pixels, strict=True):
-            if count:
-                share = 100 * count / curve.pixels.sum()
-                lines.append(f"| {setup} | {100 * predicted:.1f} | {100 * observed:.1f} | {share:.2f} |")
-    return "\n".join(lines)
+    rows = [
+        {"setup": setup, "predicted": 100 * float(p), "observed": 100 * float(o), "share": 100 * float(n / total)}
+        for setup, curve in curves.items()
+        for total in [curve.pixels.sum()]
+        for p, o, n in zip(curve.predicted, curve.observed, curve.pixels, strict=True)
+        if n
+    ]
+    return markdown_table(rows, CURVE_COLUMNS)
 
 
 def _say(line: str) -> None:

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 
 from lfrig.bench.document import Column, Table
-from lfrig.bench.measure import Muted, in_fresh_process
+from lfrig.bench.measure import in_fresh_process
 from lfrig.bench.peers import sgbm_disparity
 from lfrig.contracts.bench import Check
-from lfrig.contracts.progress import Monitor
+from lfrig.contracts.progress import Monitor, Muted
 from lfrig.processing.depth import estimate_disparity
 from lfrig.processing.dpv import auto_range
 from lfrig.processing.export.pfm import read_pfm

@@ -17,10 +17,10 @@ import numpy as np
 from lfrig.bench.decode_files import capture_of, measure_decode, write_files
 from lfrig.bench.decode_scene import PlaneScene, SensorModel, shoot, true_view
 from lfrig.bench.document import Column, Table, write
-from lfrig.bench.measure import Muted, in_fresh_process, stopwatch
+from lfrig.bench.measure import in_fresh_process, stopwatch
 from lfrig.contracts.bench import BenchDocument, Check
 from lfrig.contracts.errors import UsageError
-from lfrig.contracts.progress import Monitor
+from lfrig.contracts.progress import Monitor, Muted
 from lfrig.processing.dpv import light_field_evidence
 from lfrig.processing.export.png import write_png
 from lfrig.processing.lenslet.decode import Decoded, decode

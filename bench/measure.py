@@ -52,20 +52,6 @@ def stopwatch() -> Iterator[Stopwatch]:
     watch.cost = Cost(time.perf_counter() - wall, _cpu_s() - cpu)
 
 
-class Muted(Monitor):
-    """Hears of the outer monitor's cancel and keeps warnings to itself: a benchmark's inner runs make
-    hundreds.
-    """
-
-    def __init__(self, outer: Monitor) -> None:
-        super().__init__()
-        self.outer = outer
-
-    def advance(self, steps: int = 1) -> None:
-        """Notice a cancel of the outer monitor."""
-        self.outer.advance(0)
-
-
 def in_fresh_process(function: Callable[..., T], *args: object, monitor: Monitor) -> tuple[T, Cost]:
     """Call a module-level function in a process of its own, so that its peak memory is its own.
 

@@ -17,10 +17,10 @@ from lfrig.bench import cotton, peers, plots
 from lfrig.bench.accuracy_table import COSTS, SCORES, case_oracles, mean_fields, score_fields
 from lfrig.bench.cases import FULL, Case, scene_names, shoot_case
 from lfrig.bench.document import Column, Table, write
-from lfrig.bench.measure import Cost, Muted, in_fresh_process, stopwatch, summary
+from lfrig.bench.measure import Cost, in_fresh_process, stopwatch, summary
 from lfrig.contracts.bench import BenchDocument, Check
 from lfrig.contracts.errors import GeometryRefused
-from lfrig.contracts.progress import Monitor
+from lfrig.contracts.progress import Monitor, Muted
 from lfrig.processing.fusion import inverse_depth_range
 from lfrig.processing.model import F32, U8, Source
 from lfrig.processing.pipeline import ProcessResult, process

@@ -13,7 +13,7 @@ from typing import Any
 
 from lfrig.bench.cases import FULL
 from lfrig.bench.document import write
-from lfrig.bench.measure import Muted, stopwatch
+from lfrig.bench.measure import stopwatch
 from lfrig.bench.poses_errors import Alignment, fitted_sources, pose_figures, slope_error_pct
 from lfrig.bench.poses_faults import FAULTS, PHOTO_DEG, Fault, Subject, good_case
 from lfrig.bench.poses_gate import accepted, refused
@@ -31,7 +31,7 @@ from lfrig.bench.poses_table import (
 )
 from lfrig.contracts.bench import BenchDocument
 from lfrig.contracts.errors import GeometryRefused
-from lfrig.contracts.progress import Monitor
+from lfrig.contracts.progress import Monitor, Muted
 from lfrig.processing.agreement import check_agreement
 from lfrig.processing.poses import PoseMethod, solve_poses
 from lfrig.processing.sharpness import warn_of_defocus

@@ -25,12 +25,12 @@ import numpy as np
 from lfrig.bench.accuracy_table import case_oracles, pose_errors, score_fields
 from lfrig.bench.cases import MEDIUM, NEAR_DEG, Case, shoot_case
 from lfrig.bench.document import Column, Table, write
-from lfrig.bench.measure import Muted, stopwatch
+from lfrig.bench.measure import stopwatch
 from lfrig.bench.reference import reference_cpu_s
 from lfrig.contracts.bench import BenchDocument, Check
 from lfrig.contracts.errors import BadInput, GeometryRefused
 from lfrig.contracts.native import load_native
-from lfrig.contracts.progress import Monitor
+from lfrig.contracts.progress import Monitor, Muted
 from lfrig.contracts.score import LightFieldScore
 from lfrig.processing.metrics import inner_region, sparsification
 from lfrig.processing.pipeline import process

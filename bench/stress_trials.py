@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lfrig.bench.cases import MEDIUM, NEAR_DEG, Case, shoot_case
-from lfrig.bench.measure import Muted
 from lfrig.bench.stress_inputs import exact_anchors, one_plane, rigid, transformed
 from lfrig.contracts.errors import BadInput
-from lfrig.contracts.progress import Monitor
+from lfrig.contracts.progress import Monitor, Muted
 from lfrig.processing.model import F32, Evidence, Optics, Photo, Pose
 from lfrig.processing.pipeline import ProcessOptions, ProcessResult, process
 from lfrig.processing.scale_fit import ScaleFitSettings, fit_scale

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 from lfrig.contracts.errors import Interrupted
@@ -75,3 +75,21 @@ class Monitor:
 
     def on_warn(self, notice: Notice) -> None:
         """Hook: a warning was recorded."""
+
+
+class Muted(Monitor):
+    """Keeps warnings until it is known which of them hold, if any; a cancel is the outer monitor's."""
+
+    def __init__(self, outer: Monitor) -> None:
+        super().__init__()
+        self.outer = outer
+
+    def advance(self, steps: int = 1) -> None:
+        """Notice a cancel of the outer monitor."""
+        self.outer.advance(0)
+
+    def release(self, holds: Callable[[Notice], bool] = lambda _: True) -> None:
+        """Hand on the warnings that hold."""
+        for notice in self.notices:
+            if holds(notice):
+                self.outer.warn(notice.code, notice.message)

@@ -20,13 +20,11 @@ from lfrig.contracts.progress import Monitor
 from lfrig.processing.geometry import project, projection
 from lfrig.processing.model import F32, F64, U8, Camera, Photo, Pose, Source
 from lfrig.processing.patch import correlation, patch_window
+from lfrig.processing.tone import NO_TEXTURE_GREY
 
 MAX_PATCHES = 300
 MIN_PATCHES = 24
 """With fewer textured patches in common two pictures are not judged."""
-
-PLAIN_GREY = 0.5
-"""Standard deviation below which a picture shows nothing to compare with."""
 
 RADIUS = 5
 BLUR_PX = 1.2
@@ -125,11 +123,12 @@ def measure_agreement(sources: Sequence[Source], photo: Photo, camera: Camera, p
     pictures = [_prepared(s.light_field.centre_view, s.camera.width) for s in sources]
     pictures.append(_prepared(photo.image8, camera.width))
     places = [*((s.camera, s.pose) for s in sources), (camera, pose)]
+    plain = [float(picture.std()) < NO_TEXTURE_GREY for picture in pictures]
     found = np.full((4, len(sources), len(sources) + 1), np.nan)
     for i, source in enumerate(sources):
         patches = _patches(source, pictures[i])
         for j, there in enumerate(places):
-            if j != i and float(pictures[j].std()) >= PLAIN_GREY:
+            if j != i and not plain[j]:
                 found[:, i, j] = _compare(source, patches, pictures[i], there, pictures[j])
     return Agreement(found[0], found[1], Agreement(found[2], found[3]))
 

@@ -18,11 +18,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lfrig.processing.geometry import project, projection
+from lfrig.processing.geometry import projection
 from lfrig.processing.match_doubt import excess_cost, layer_mean, local_variance
 from lfrig.processing.model import F32, U8, Camera, Pose, Source
 from lfrig.processing.plane_fit import Planes, local_planes
-from lfrig.processing.visibility import Landing, Mask, contradiction, count_agreeing, land
+from lfrig.processing.sources import usual_noise
+from lfrig.processing.visibility import Landing, Mask, contradiction, count_agreeing, land, place
 from lfrig.processing.wide_baseline import WideMatch
 
 WIDTH = 540
@@ -85,11 +86,10 @@ DEFAULT_CONTINUATION = ContinuationSettings()
 
 @dataclass(frozen=True)
 class _Areas:
-    """bool [H, W] each: ``hidden`` from all sources, ``mistaken`` what is to be filled (hidden areas and their doubtful
-    rims), ``trusted`` what may be continued.
+    """bool [H, W] each: ``mistaken`` what is to be filled (areas hidden from all sources and their doubtful rims),
+    ``trusted`` what may be continued.
     """
 
-    hidden: Mask
     mistaken: Mask
     trusted: Mask
 
@@ -142,7 +142,7 @@ def continue_hidden(
     """
     surface = match.inverse_depth
     landings = [land(surface, source, camera, pose) for source in sources]
-    noise_sigma = float(np.median([source.evidence.noise_sigma for source in sources]))
+    noise_sigma = usual_noise(sources)
     areas = _find_areas(match, landings, photo, noise_sigma, px_per_inverse, settings)
     if not areas.mistaken.any():
         return surface, 0
@@ -186,10 +186,10 @@ def _find_areas(
     square = np.ones((settings.least_area, settings.least_area), np.uint8)
     core = cv2.morphologyEx(hidden.astype(np.uint8), cv2.MORPH_OPEN, square) > 0
     if not core.any():
-        return _Areas(hidden, np.zeros_like(hidden), agreeing > 0)
+        return _Areas(np.zeros_like(hidden), agreeing > 0)
     distance = cv2.distanceTransform((~core).astype(np.uint8), cv2.DIST_L2, 5)
     joined = _joined(mistaken | core, core) & (distance < settings.rim)
-    return _Areas(hidden, joined, (agreeing > 0) & (cost <= settings.trust_cost))
+    return _Areas(joined, (agreeing > 0) & (cost <= settings.trust_cost))
 
 
 def _fit_seeds(
@@ -269,10 +269,8 @@ def _floats(
 ) -> Mask:
     """Whether points [M] of inverse depth ``value`` lie before the surface that any source sees there."""
     floats = np.zeros(len(value), bool)
-    for source, (matrix, offset) in zip(sources, ways, strict=True):
-        u, v, w = project(matrix, offset, x.astype(np.float32), y.astype(np.float32), value)
-        height, width = source.evidence.disparity.shape
-        inside = (u >= 0) & (v >= 0) & (u <= width - 1) & (v <= height - 1)
+    for source, way in zip(sources, ways, strict=True):
+        u, v, w, inside = place(way, source.camera, x.astype(np.float32), y.astype(np.float32), value)
         iu, iv = np.rint(u[inside]).astype(np.int64), np.rint(v[inside]).astype(np.int64)
         ahead = source.evidence.disparity[iv, iu] - source.scale.disparity(w[inside])
         floats[inside] |= contradiction(ahead, margin_px) > 0.5

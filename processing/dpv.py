@@ -19,7 +19,7 @@ from lfrig.processing.kernels.plane_cost import grey_views, plane_cost
 from lfrig.processing.kernels.sgm import aggregate
 from lfrig.processing.model import F32, U8, Evidence, LightField
 from lfrig.processing.plain_areas import DEFAULT_PLAIN, PlainSettings, blend_plain_cost, find_plain_areas
-from lfrig.processing.tone import SATURATED_GREY, blurred
+from lfrig.processing.tone import NO_TEXTURE_GREY, SATURATED_GREY, blurred
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,6 @@ class DpvSettings:
 
 
 DEFAULT_DPV = DpvSettings()
-NO_TEXTURE_GREY = 0.5
 NOISE_PER_FLOOR = 1.37
 CLEAN_FLOOR_GREY = 0.4
 
@@ -269,9 +268,9 @@ def _soften_clipped(grey: NDArray[np.int16], views: U8, blur_px: float) -> None:
     size = 2 * CLIPPED_REACH_PX + 1
     window = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
     for view, picture in zip(grey, views.reshape(-1, *views.shape[-3:]), strict=True):
-        clipped = (picture.min(2) >= SATURATED_GREY).astype(np.uint8)
+        clipped = cv2.inRange(picture, (SATURATED_GREY,) * 3, (255,) * 3)
         if clipped.any():
-            share = blurred(np.asarray(cv2.dilate(clipped, window), np.float32), 1.0)
+            share = blurred(np.asarray(cv2.dilate(clipped, window) > 0, np.float32), 1.0)
             own: F32 = view.astype(np.float32)
             own += share * (blurred(own, blur_px) - own)
             view[...] = np.rint(own).astype(np.int16)

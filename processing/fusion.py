@@ -20,6 +20,7 @@ from lfrig.processing.geometry import project, projection
 from lfrig.processing.kernels.colour_evidence import ColourTerm, add_colour_evidence
 from lfrig.processing.kernels.fusion import Pool, add_evidence, first_surface
 from lfrig.processing.model import F32, U8, Camera, Pose, Source
+from lfrig.processing.sources import usual_noise, usual_slope
 from lfrig.processing.tone import Tone, blurred, fit_tone, saturation
 from lfrig.processing.visibility import carry
 
@@ -145,7 +146,7 @@ def _add_colours(
     threads: int,
 ) -> None:
     """Add what the colours of the photo and of every source's centre view say, in place."""
-    noise = float(np.median([source.evidence.noise_sigma for source in sources]))
+    noise = usual_noise(sources)
     weight = settings.colour_weight / (1 + settings.colour_noise_share * noise)
     weight *= min(1.0, _plane_px(sources, planes[1]) / settings.colour_plane_px) ** 2
     term = ColourTerm(
@@ -185,7 +186,7 @@ def _gap_planes(sources: Sequence[Source], dw: float, settings: FusionSettings) 
 
 def _plane_px(sources: Sequence[Source], dw: float) -> float:
     """Distance of two planes in px per view step of the sources (the median one)."""
-    return dw / float(np.median([abs(source.scale.a) for source in sources]))
+    return dw / usual_slope(sources)
 
 
 def inverse_depth_range(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from lfrig.processing.model import F32, U8
-from lfrig.processing.tone import LUMA
+from lfrig.processing.tone import luma
 from lfrig.processing.wide_baseline import DEFAULT_WIDE_BASELINE, LUMA_NOISE
 
 
@@ -41,7 +41,7 @@ def local_variance(photo: U8, window: int) -> F32:
     """Variance of luma over a window [grey levels²], float32 [H, W]."""
     import cv2
 
-    luma = photo.astype(np.float32) @ LUMA
-    luma -= luma.mean()
-    mean, square = (cv2.blur(part, (window, window)) for part in (luma, luma * luma))
+    grey = luma(photo)
+    grey -= grey.mean()
+    mean, square = (cv2.blur(part, (window, window)) for part in (grey, grey * grey))
     return np.asarray(square - mean * mean, np.float32)

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfrig.processing.model import F32, F64
+from lfrig.processing.patch import slopes
 from lfrig.processing.tone import blurred
 
 
@@ -87,8 +88,7 @@ def find_plain_areas(
     swell = 1 + settings.growth * noise
     blur, window = swell * settings.blur_px, swell * settings.window_px
     soft = blurred(own, blur)
-    gx = cv2.Sobel(soft, cv2.CV_32F, 1, 0, scale=0.125)
-    gy = cv2.Sobel(soft, cv2.CV_32F, 0, 1, scale=0.125)
+    gx, gy = slopes(soft)
     by_row, by_column = np.zeros_like(own), np.zeros_like(own)
     power = np.zeros_like(_half(own))
     for (dr, dc), view in zip(offsets, grey, strict=True):
@@ -134,8 +134,7 @@ def _plainness(own: F32, noise: float, settings: PlainSettings) -> F32:
     import cv2
 
     light = blurred(own, 1.0)
-    gx = cv2.Sobel(light, cv2.CV_32F, 1, 0, scale=0.125)
-    gy = cv2.Sobel(light, cv2.CV_32F, 0, 1, scale=0.125)
+    gx, gy = slopes(light)
     size = 2 * settings.clearance_px + 1
     steepest = cv2.dilate(np.hypot(gx, gy), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)))
     threshold = settings.edge_grey + settings.edge_per_noise * noise

@@ -22,6 +22,9 @@ GAMMA_LIMITS = (0.6, 1.6)
 SPREAD = 0.15
 """Standard deviation of log values below which only a gain is fitted."""
 SATURATED_GREY = 250
+NO_TEXTURE_GREY = 0.5
+"""Standard deviation below which a picture shows nothing that could be matched."""
+
 LUMA = np.array([0.299, 0.587, 0.114], np.float32)
 """Rec. 601."""
 
@@ -84,9 +87,11 @@ def blurred(image: U8 | F32, sigma: float) -> F32:
     return np.asarray(cv2.GaussianBlur(image.astype(np.float32, copy=False), (0, 0), sigma), np.float32)
 
 
+def luma(image: U8) -> F32:
+    """Grey levels float32 [H, W] of RGB uint8 [H, W, 3]."""
+    return np.asarray(image.astype(np.float32) @ LUMA, np.float32)
+
+
 def saturation(image: U8, sigma: float) -> F32:
     """Share of saturated pixels in each pixel's blur, float32 [H, W]."""
-    import cv2
-
-    clipped = (image >= SATURATED_GREY).any(2).astype(np.float32)
-    return np.asarray(cv2.GaussianBlur(clipped, (0, 0), sigma), np.float32)
+    return blurred(np.asarray((image >= SATURATED_GREY).any(2), np.float32), sigma)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfrig.processing.geometry import project, projection
-from lfrig.processing.model import F32, Camera, Pose, Source
+from lfrig.processing.model import F32, F64, Camera, Pose, Source
 
 Mask = NDArray[np.bool_]
 FAR_OUTSIDE = -9e3
@@ -67,26 +67,17 @@ def carry(
     """
     height, width = inverse_depth.shape
     ys, xs = (stride * np.mgrid[0:height, 0:width]).astype(np.float32)
-    u, v, w = project(*projection(camera, pose, source.camera, source.pose), xs, ys, inverse_depth)
+    return place(projection(camera, pose, source.camera, source.pose), source.camera, xs, ys, inverse_depth)
+
+
+def place(way: tuple[F64, F64], camera: Camera, x: F32, y: F32, inverse_depth: F32) -> tuple[F32, F32, F32, Mask]:
+    """The same for any points (x, y), by a `projection` into ``camera``; arrays of one shape."""
+    u, v, w = project(*way, x, y, inverse_depth)
     u, v = np.nan_to_num(u, nan=FAR_OUTSIDE), np.nan_to_num(v, nan=FAR_OUTSIDE)
-    inside = (u >= 0) & (v >= 0) & (u <= source.camera.width - 1) & (v <= source.camera.height - 1)
+    inside = (u >= 0) & (v >= 0) & (u <= camera.width - 1) & (v <= camera.height - 1)
     return u, v, w, np.asarray(inside)
 
 
 def count_agreeing(landings: Sequence[Landing], tolerance_px: float) -> F32:
     """How many sources agree with each point, float32 [H, W]."""
     return np.asarray(sum(landing.agrees(tolerance_px).astype(np.float32) for landing in landings), np.float32)
-
-
-def support(
-    inverse_depth: F32, sources: Sequence[Source], camera: Camera, pose: Pose, tolerance_px: float
-) -> tuple[F32, Mask]:
-    """How many sources see each surface point and agree with it.
-
-    Returns
-    -------
-    agreeing : float32 [H, W]
-    in_view : bool [H, W], inside at least one source's frame.
-    """
-    landings = [land(inverse_depth, source, camera, pose) for source in sources]
-    return count_agreeing(landings, tolerance_px), np.asarray(np.any([landing.inside for landing in landings], axis=0))

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lfrig.contracts.progress import Monitor
 from lfrig.processing.geometry import projection
@@ -20,8 +21,8 @@ from lfrig.processing.kernels.band_cost import Patch, band_cost
 from lfrig.processing.kernels.sgm import I16, aggregate
 from lfrig.processing.model import F32, U8, Camera, Pose, Source
 from lfrig.processing.plane_fit import Planes
-from lfrig.processing.tone import LUMA
-from lfrig.processing.visibility import Mask, land, support
+from lfrig.processing.tone import luma
+from lfrig.processing.visibility import Mask, count_agreeing, land
 
 
 @dataclass(frozen=True)
@@ -102,12 +103,13 @@ def refine_wide(
         cost, photo, settings.p1, settings.p2, settings.edge_grey, shift=label_shifts(surface, step),
         threads=threads, monitor=monitor,
     )  # fmt: skip
-    moved = surface.value + np.float32(step) * (_parabola(total) - np.float32(settings.labels // 2))
+    best_label = total.argmin(2)
+    moved = surface.value + np.float32(step) * (_parabola(total, best_label) - np.float32(settings.labels // 2))
     best = cost.min(2)
-    agreeing, _ = support(moved, sources, camera, pose, settings.support_px)
+    agreeing = count_agreeing([land(moved, s, camera, pose) for s in sources], settings.support_px)
     accepted = (agreeing > 0) & (seen > settings.accept_seen) & (best < settings.accept_cost)
     inverse_depth = np.where(accepted, moved, surface.value).astype(np.float32)
-    return WideMatch(inverse_depth, best, seen, accepted, *_distinctness(total))
+    return WideMatch(inverse_depth, best, seen, accepted, *_distinctness(total, best_label))
 
 
 def _cost(
@@ -123,13 +125,13 @@ def _cost(
     threads: int,
 ) -> F32:
     """Mean over the sources that see a pixel, float32 [H, W, K]; the cap where none does."""
-    grey = np.asarray(photo.astype(np.float32) @ LUMA)
+    grey = luma(photo)
     total = np.zeros((*grey.shape, settings.labels), np.float32)
     for source, weight in zip(sources, visible, strict=True):
         noise = settings.noise_floor + LUMA_NOISE * source.evidence.noise_sigma**2
         patch = Patch(settings.radius, settings.stride, settings.sigma_grey, noise, settings.cap)
         part = band_cost(
-            grey, photo, np.asarray(source.light_field.centre_view.astype(np.float32) @ LUMA), weight,
+            grey, photo, luma(source.light_field.centre_view), weight,
             (surface.value, surface.slope_x, surface.slope_y), projection(camera, pose, source.camera, source.pose),
             step, settings.labels, patch, threads=threads,
         )  # fmt: skip
@@ -173,10 +175,9 @@ def label_shifts(surface: Planes, step: float) -> I16:
     return out
 
 
-def _parabola(total: F32) -> F32:
+def _parabola(total: F32, best: NDArray[np.intp]) -> F32:
     """Label of the least cost, to a fraction, float32 [H, W]."""
     labels = total.shape[2]
-    best = total.argmin(2)
     inner = np.clip(best, 1, max(labels - 2, 1)) if labels >= 3 else best
     if labels < 3:
         return np.asarray(best, np.float32)
@@ -186,15 +187,15 @@ def _parabola(total: F32) -> F32:
     return np.asarray(best + offset, np.float32)
 
 
-def _distinctness(total: F32) -> tuple[F32, F32]:
+def _distinctness(total: F32, best: NDArray[np.intp]) -> tuple[F32, F32]:
     """(margin, curvature) of aggregated costs float32 [H, W, K], float32 [H, W] each (see `WideMatch`)."""
-    labels, reach = total.shape[2], 2
-    best = total.argmin(2)
-    least = total.min(2)
-    around = np.abs(np.arange(labels) - best[..., None]) <= reach
-    margin = np.where(around, np.float32(np.inf), total).min(2) - least
-    curvature = np.zeros_like(least)
-    for side in (-reach, reach):
-        at = np.clip(best + side, 0, labels - 1)
-        curvature += np.take_along_axis(total, at[..., None], 2)[..., 0] - least
+    reach = 2
+    least = np.take_along_axis(total, best[..., None], 2)[..., 0]
+    away, curvature = total.copy(), np.zeros_like(least)
+    for step in range(-reach, reach + 1):
+        at = np.clip(best + step, 0, total.shape[2] - 1)[..., None]
+        np.put_along_axis(away, at, np.float32(np.inf), 2)
+        if abs(step) == reach:
+            curvature += np.take_along_axis(total, at, 2)[..., 0] - least
+    margin = away.min(2) - least
     return np.where(np.isfinite(margin), margin, 0).astype(np.float32), curvature

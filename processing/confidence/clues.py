@@ -9,6 +9,7 @@ import numpy as np
 
 from lfrig.processing.model import F32, U8, Camera, Pose, Source
 from lfrig.processing.plane_fit import Planes
+from lfrig.processing.sources import usual_slope
 from lfrig.processing.visibility import Landing
 from lfrig.processing.wide_baseline import WideMatch
 
@@ -38,7 +39,7 @@ class Clues:
     @property
     def unit(self) -> float:
         """1/m per px per view step of the sources: errors are a matter of their pixels, whatever is asked for."""
-        return float(np.median([abs(source.scale.a) for source in self.sources]))
+        return usual_slope(self.sources)
 
     @property
     def scale_sigma(self) -> float:

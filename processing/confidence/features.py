@@ -11,7 +11,8 @@ import numpy as np
 
 from lfrig.processing.confidence.clues import Clues
 from lfrig.processing.model import F32
-from lfrig.processing.tone import LUMA
+from lfrig.processing.patch import slopes
+from lfrig.processing.tone import blurred, luma
 from lfrig.processing.visibility import Mask
 
 LEAST_REST = 1e-7
@@ -114,11 +115,7 @@ def _of_steps(surface: F32) -> dict[str, F32]:
 
 def _of_texture(clues: Clues) -> dict[str, F32]:
     """Root mean square gradient of the photo's luma over 9×9 px [grey levels per px]."""
-    import cv2
-
-    luma = cv2.GaussianBlur(clues.photo.astype(np.float32) @ LUMA, (0, 0), 1.0)
-    gx = cv2.Sobel(luma, cv2.CV_32F, 1, 0, scale=0.125)
-    gy = cv2.Sobel(luma, cv2.CV_32F, 0, 1, scale=0.125)
+    gx, gy = slopes(blurred(luma(clues.photo), 1.0))
     return {"texture": _log(np.sqrt(np.maximum(_box(gx * gx + gy * gy, 9), 0)), 0.1)}
 
 

@@ -58,9 +58,7 @@ def refuse_untied(confirmed: Agreement | None, names: Sequence[str], photo: str)
 
 def refuse_untied_photo(confirmed: Agreement | None, photo: str) -> None:
     """Refuse a photo that only its own matches place, and nothing near ties to a source (``photo-disagrees``)."""
-    if confirmed is not None and any(
-        len(group) == 1 and group[0] == len(confirmed.share) for group in confirmed.tied_groups()
-    ):
+    if confirmed is not None and [len(confirmed.share)] in confirmed.tied_groups():
         raise GeometryRefused(
             f"photo {photo}: it fits the sources only in what is far away, not in what stands before it",
             code="photo-disagrees",

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfrig.processing.model import F32, F64
+from lfrig.processing.patch import slopes
 
 WINDOW_SIGMA = 0.6
 """Width of a patch's Gaussian weight, as a fraction of its half width."""
@@ -55,16 +56,6 @@ def sample(picture: F32, x: NDArray[np.floating], y: NDArray[np.floating]) -> F3
 def sample_points(picture: F32, xy: F64) -> F32:
     """Bilinear values at points [N, 2], float32 [N]."""
     return sample(picture, xy[:, :1], xy[:, 1:])[:, 0]
-
-
-def slopes(picture: F32) -> tuple[F32, F32]:
-    """Horizontal and vertical derivative (Sobel) [grey/px], float32 [H, W]."""
-    import cv2
-
-    return (
-        np.asarray(cv2.Sobel(picture, cv2.CV_32F, 1, 0, ksize=3, scale=1 / 8)),
-        np.asarray(cv2.Sobel(picture, cv2.CV_32F, 0, 1, ksize=3, scale=1 / 8)),
-    )
 
 
 def window(half: int) -> tuple[F32, F32, F32]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lfrig.contracts.errors import GeometryRefused
-from lfrig.contracts.progress import Monitor, Notice
+from lfrig.contracts.progress import Monitor, Muted
 from lfrig.processing.geometry import world_points
 from lfrig.processing.model import F64, Evidence, LightField, Photo, RigPrior, ScaleFit
 from lfrig.processing.poses import gate
@@ -48,24 +48,6 @@ SURE_NOISE_PX = 0.1
 ALONE_STEP_DEG = 25.0
 UNRECORDED_SIGMA = 0.3
 """Sigma of a line that is not recorded but fitted to points: nothing is known beforehand."""
-
-
-class _Held(Monitor):
-    """Keeps warnings until it is known which of them hold; progress and cancel are the outer monitor's."""
-
-    def __init__(self, outer: Monitor) -> None:
-        super().__init__()
-        self.outer = outer
-
-    def advance(self, steps: int = 1) -> None:
-        """Notice a cancel of the outer monitor."""
-        self.outer.advance(0)
-
-    def release(self, holds: Callable[[Notice], bool] = lambda _: True) -> None:
-        """Hand on the warnings that hold."""
-        for notice in self.notices:
-            if holds(notice):
-                self.outer.warn(notice.code, notice.message)
 
 
 @dataclass(frozen=True)
@@ -116,7 +98,7 @@ def solve_with_light_fields(task: Task, monitor: Monitor) -> tuple[str, Structur
     if solved is not None and solved.structure.noise_px < SURE_NOISE_PX:
         return "lf", solved.structure
     if solved is None:
-        held = _Held(monitor)
+        held = Muted(monitor)
         try:
             kind, other = _from_motion(task, looks, lines, held)
         except GeometryRefused:
@@ -136,7 +118,7 @@ def _better(task: Task, looks: Looks, lines: Sequence[Line | None], solved: Solv
 
     Texture that repeats can hold a wrong geometry within every gate; what it lacks is matches.
     """
-    held = _Held(monitor)
+    held = Muted(monitor)
     try:
         kind, other = _from_motion(task, looks, lines, held)
     except GeometryRefused:
@@ -223,17 +205,16 @@ def _with_located_photo(
     task: Task, looks: Looks, alone: Structure, known: PhotoPrior | None, monitor: Monitor
 ) -> Solved | None:
     """The photo joined where its SIFT features put it: of several hypotheses that in which most corners are found."""
-    best, notices = None, list[Notice]()
+    best, held = None, Muted(monitor)
     for located in hypotheses(task, alone)[:MAX_TRIED]:
-        silent = Monitor()
-        joined: Structure | None = join_located(alone, located, task.target, known, silent)
+        own = Muted(monitor)
+        joined: Structure | None = join_located(alone, located, task.target, known, own)
         if joined is not None and not alone.seen.count:
             joined = first_pass(looks, joined.arrangement, joined.parameters, task.rough_range_m, monitor)
         solved = _finished(task, looks, joined, monitor)
         if solved is not None and (best is None or solved.followed.total > best.followed.total):
-            best, notices = solved, silent.notices
-    for notice in notices:
-        monitor.warn(notice.code, notice.message)
+            best, held = solved, own
+    held.release()
     return best
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from lfrig.contracts.progress import Monitor
+from lfrig.contracts.progress import Monitor, Muted
 from lfrig.processing.model import F64, Evidence, LightField, Photo, Pose, RigPrior
 from lfrig.processing.poses import gate
 from lfrig.processing.poses.arrangement import Arrangement
@@ -131,12 +131,11 @@ def _rough(
         gate.refuse_photo(0 if located is None else located.support, target.id)
     if located is None:
         return best
-    silent = Monitor()
-    other = join_located(sources, located, target, known, silent)
+    held = Muted(monitor)
+    other = join_located(sources, located, target, known, held)
     if known is not None and _fitting(other, features, unguided) < CONVINCING * _fitting(best, features, unguided):
         return best
-    for notice in silent.notices:
-        monitor.warn(notice.code, notice.message)
+    held.release()
     return other
 
 

@@ -6,9 +6,9 @@ import time
 import numpy as np
 import pytest
 
-from lfrig.bench.measure import Cost, Muted, in_fresh_process, stopwatch, summary
+from lfrig.bench.measure import Cost, in_fresh_process, stopwatch, summary
 from lfrig.contracts.errors import CheckFailed, GeometryRefused, Interrupted
-from lfrig.contracts.progress import Monitor
+from lfrig.contracts.progress import Monitor, Muted
 
 
 def busy(seconds: float) -> int:

@@ -21,7 +21,7 @@ from lfrig.processing.pipeline import ProcessOptions, process
 from lfrig.processing.plane_fit import local_planes
 from lfrig.processing.refine import RefineSettings, smooth, snap_to_edges
 from lfrig.processing.regularise import RegulariseSettings, regularise
-from lfrig.processing.visibility import support
+from lfrig.processing.visibility import count_agreeing, land
 from lfrig.processing.wide_baseline import refine_wide
 from tests.processing import scenes
 
@@ -137,8 +137,11 @@ def test_edge_test_leaves_a_smooth_surface_alone() -> None:
 def test_support_counts_agreeing_sources() -> None:
     photo, depth = scenes.photo()
     truth = (1 / depth).astype(np.float32)
-    right, in_view = support(truth, sources(), scenes.CAMERA, photo.pose, 0.06)
-    wrong, _ = support(truth + np.float32(0.3), sources(), scenes.CAMERA, photo.pose, 0.06)
+    there, aside = (
+        [land(w, source, scenes.CAMERA, photo.pose) for source in sources()] for w in (truth, truth + np.float32(0.3))
+    )
+    right, wrong = count_agreeing(there, 0.06), count_agreeing(aside, 0.06)
+    in_view = np.any([landing.inside for landing in there], axis=0)
     assert right.max() == 2 and right[in_view].mean() > 1.2 > 0.2 > wrong.mean()
 
 
