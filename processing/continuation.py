@@ -19,9 +19,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from lfrig.processing.geometry import projection
+from lfrig.processing.kernels.plane_fit import local_planes
 from lfrig.processing.match_doubt import excess_cost, layer_mean, local_variance
 from lfrig.processing.model import F32, U8, Camera, Pose, Source
-from lfrig.processing.plane_fit import Planes, local_planes
+from lfrig.processing.plane_fit import Planes
 from lfrig.processing.sources import usual_noise
 from lfrig.processing.visibility import Landing, Mask, contradiction, count_agreeing, land, place
 from lfrig.processing.wide_baseline import WideMatch

@@ -17,6 +17,7 @@ from lfrig.contracts.errors import BadInput
 from lfrig.contracts.progress import Monitor
 from lfrig.processing.kernels.plane_cost import grey_views, plane_cost
 from lfrig.processing.kernels.sgm import aggregate
+from lfrig.processing.kernels.softmax import softmax_peak
 from lfrig.processing.model import F32, U8, Evidence, LightField
 from lfrig.processing.plain_areas import DEFAULT_PLAIN, PlainSettings, blend_plain_cost, find_plain_areas
 from lfrig.processing.tone import NO_TEXTURE_GREY, SATURATED_GREY, blurred
@@ -113,7 +114,9 @@ def light_field_evidence(
                 cost[edges] = np.minimum(cost[edges], part[edges] + np.float32(settings.occlusion_bias_grey))
             total = smooth(cost)
     del cost
-    probability, index, confidence = softmax_peak(total, settings.inverse_temperature / swell, settings.window)
+    probability, index, confidence = softmax_peak(
+        total, settings.inverse_temperature / swell, settings.window, threads=threads
+    )
     disparity = np.asarray(first + step * index, np.float32)
     return Evidence(probability, (first, step), disparity, confidence, noise, len(offsets) + 1, tested)
 
@@ -205,37 +208,8 @@ def noise_of_cost(cost: F32) -> float:
     clean floor of about 0.4 (interpolation and the box average part of the noise away, the best of many planes is
     lower still).
     """
-    floor = float(np.quantile(cost.min(axis=2)[::2, ::2], 0.1))
+    floor = float(np.quantile(cost[::2, ::2].min(axis=2), 0.1))
     return NOISE_PER_FLOOR * float(np.sqrt(max(0.0, floor**2 - CLEAN_FLOOR_GREY**2)))
-
-
-def softmax_peak(cost: F32, inverse_temperature: float, window: int) -> tuple[NDArray[np.uint16], F32, F32]:
-    """Softmax of −cost along the last axis, and the peak's windowed mean.
-
-    The mean is taken over ±``window`` planes around the peak: over all planes, a uniform floor of 20 % would pull it
-    by 4 planes.
-
-    Returns
-    -------
-    probability uint16 [H, W, D] (65535 = 1), peak index float32 [H, W], confidence float32 [H, W] (mass at the peak).
-    """
-    height, width, planes = cost.shape
-    probability = np.empty(cost.shape, np.uint16)
-    index = np.empty((height, width), np.float32)
-    confidence = np.empty((height, width), np.float32)
-    labels = np.arange(planes, dtype=np.float32)
-    rows = max(1, 2_000_000 // (width * planes))
-    for y in range(0, height, rows):
-        block = cost[y : y + rows]
-        p = np.exp((block.min(2, keepdims=True) - block) * np.float32(inverse_temperature))
-        p /= p.sum(2, keepdims=True)
-        probability[y : y + rows] = (p * np.float32(65535) + np.float32(0.5)).astype(np.uint16)
-        near = np.abs(labels - p.argmax(2)[..., None]) <= window
-        p *= near
-        mass = p.sum(2)
-        confidence[y : y + rows] = np.minimum(mass, 1)
-        index[y : y + rows] = (p @ labels) / mass
-    return probability, index, confidence
 
 
 def _split_views(

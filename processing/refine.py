@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lfrig.processing.kernels.plane_fit import local_planes
 from lfrig.processing.model import F32, U8
-from lfrig.processing.plane_fit import Planes, local_planes
+from lfrig.processing.plane_fit import Planes
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,8 @@ import pytest
 
 from lfrig.contracts.errors import BadInput
 from lfrig.processing.depth import estimate_disparity
-from lfrig.processing.dpv import DpvSettings, auto_range, light_field_evidence, noise_of_cost, plane_grid, softmax_peak
+from lfrig.processing.dpv import DpvSettings, auto_range, light_field_evidence, noise_of_cost, plane_grid
+from lfrig.processing.kernels.softmax import softmax_peak
 from lfrig.processing.model import LightField
 from tests.processing import scenes
 
