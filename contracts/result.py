@@ -28,6 +28,18 @@ class TargetReport(Model):
     """What gave it: ``poses``, ``mount``, ``recorded optics`` or ``gauge`` (nothing); empty in older reports."""
 
 
+class SkipReport(Model):
+    """Work of one kind that a stage did and left out, in ``unit``, and the CPU milliseconds that this saved (at the
+    price of the work that was done).
+    """
+
+    name: str
+    done: NonNegative
+    skipped: NonNegative
+    unit: str = ""
+    saved_ms: NonNegative = 0
+
+
 class StageReport(Model):
     """Cost of one stage, and how much of its work was done and skipped (units named in ``unit``)."""
 
@@ -39,6 +51,8 @@ class StageReport(Model):
     work_skipped: NonNegative = 0
     unit: str = ""
     note: str = ""
+    skips: list[SkipReport] = Field(default_factory=list)
+    """What was left out, by switch; empty in older reports."""
 
 
 class SourceReport(Model):

@@ -9,7 +9,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 from lfrig.contracts.progress import Monitor
-from lfrig.contracts.result import StageReport
+from lfrig.contracts.result import SkipReport, StageReport
+from lfrig.processing.skipping import Tally
 
 
 @dataclass
@@ -19,6 +20,7 @@ class StageNote:
     work_done: float = 0.0
     work_skipped: float = 0.0
     unit: str = ""
+    tally: Tally = field(default_factory=Tally)
 
     def done(self, amount: float, unit: str = "") -> None:
         """Record work done."""
@@ -52,5 +54,9 @@ class StageClock:
                 work_done=note.work_done,
                 work_skipped=note.work_skipped,
                 unit=note.unit,
+                skips=[
+                    SkipReport(name=name, done=c.done, skipped=c.skipped, unit=c.unit, saved_ms=c.saved_ms)
+                    for name, c in note.tally.counts.items()
+                ],
             )
         )
