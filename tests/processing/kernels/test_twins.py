@@ -7,7 +7,7 @@ from importlib.util import find_spec
 import numpy as np
 import pytest
 
-from lfrig.processing.kernels import fusion, plane_cost, sgm, spline, warp
+from lfrig.processing.kernels import fusion, sgm, spline, warp
 from lfrig.processing.model import Evidence, ScaleFit
 from tests.processing.kernels.twins import both
 
@@ -55,46 +55,6 @@ def test_sample_spline(monkeypatch, shape, channels) -> None:
     assert np.abs(native - twin).max() < 1e-3
     monkeypatch.setenv("LFRIG_NATIVE", "1")
     assert np.array_equal(spline.sample_spline(picture, x, y, threads=3), native)
-
-
-@pytest.mark.parametrize("shape", [(3, 3), (12, 65), (17, 130)])
-@pytest.mark.parametrize("planes", [1, 7])
-def test_plane_cost(monkeypatch, shape, planes) -> None:
-    rng = np.random.default_rng(2)
-    views = rng.integers(0, 256, (3, 3, *shape, 3)).astype(np.uint8)
-    grey = plane_cost.grey_views(views)
-    keep = np.arange(9) != 4
-    offsets = np.stack(np.meshgrid([-1, 0, 1], [-1, 0, 1], indexing="ij"), -1).reshape(9, 2).astype(float)[keep]
-
-    def call():  # type: ignore[no-untyped-def]
-        return plane_cost.plane_cost(grey[keep], grey[4], offsets, -1.3, 0.37, planes, 23.0)
-
-    native, twin = both(monkeypatch, call)
-    assert native.shape == (*shape, planes)
-    assert np.abs(native - twin).max() < 1 / 16
-
-
-def test_plane_cost_where_it_is_wanted(monkeypatch) -> None:
-    monkeypatch.setenv("LFRIG_NATIVE", "1")  # only the native form skips; the twin computes everything
-    rng = np.random.default_rng(3)
-    grey = rng.integers(0, 16000, (4, 30, 150)).astype(np.int16)
-    offsets = np.array([[0, -1], [0, 1], [-1, 0], [1, 0]], float)
-    active = np.zeros((30, 150), bool)
-    active[3:9, 60:70] = True
-    whole = plane_cost.plane_cost(grey, grey[0], offsets, -0.5, 0.25, 5, 20.0)
-    part = plane_cost.plane_cost(grey, grey[0], offsets, -0.5, 0.25, 5, 20.0, active=active)
-    assert np.array_equal(part[active], whole[active])
-    assert (part[20:] == 0).all(), "the skipped blocks were computed"
-
-
-def test_plane_cost_finds_a_shift() -> None:
-    """Views shifted by a known disparity cost nothing at that plane."""
-    rng = np.random.default_rng(4)
-    base = rng.integers(0, 256, (20, 30)).astype(np.int16) * 64
-    left, right = np.roll(base, -2, 1), np.roll(base, 2, 1)  # (x − dc·δ): δ = 2 at dc = 1 lies 2 px to the left
-    offsets = np.array([[0, 1], [0, -1]], float)
-    cost = plane_cost.plane_cost(np.stack([left, right]), base, offsets, 0.0, 1.0, 5, 50.0)
-    assert (cost[4:-4, 6:-6].argmin(2) == 2).all()
 
 
 @pytest.mark.parametrize("shape", [(1, 1, 1), (1, 9, 4), (9, 1, 4), (13, 17, 6), (6, 40, 33)])
