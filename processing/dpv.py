@@ -15,14 +15,21 @@ from numpy.typing import NDArray
 
 from lfrig.contracts.errors import BadInput
 from lfrig.contracts.progress import Monitor
-from lfrig.processing.kernels.plane_cost import COST_UNIT, Halves, PlaneGrid, plane_cost
-from lfrig.processing.kernels.sgm import aggregate_u16
+from lfrig.processing.kernels.plane_cost import Halves, PlaneGrid, plane_cost
 from lfrig.processing.kernels.softmax import softmax_peak, summarise
 from lfrig.processing.matching_views import LIMIT_PX, MatchingViews, matching_views
 from lfrig.processing.model import F32, U8, Evidence, LightField
-from lfrig.processing.noise_floor import noise_of_cost
-from lfrig.processing.plain_areas import DEFAULT_PLAIN, PlainSettings, blend_plain_cost, find_plain_areas
-from lfrig.processing.plane_search import DEFAULT_SEARCH, Matching, SearchSettings, coarse_search, found_range
+from lfrig.processing.noise_floor import NOISE_PER_HALF, noise_of_cost
+from lfrig.processing.plain_areas import DEFAULT_PLAIN, PlainAreas, PlainSettings, blend_plain_cost, find_plain_areas
+from lfrig.processing.plane_search import (
+    DEFAULT_SEARCH,
+    CoarseCosts,
+    Matching,
+    SearchSettings,
+    coarse_costs,
+    coarse_match,
+    found_range,
+)
 from lfrig.processing.skipping import SKIP_ALL, Skips, Tally
 from lfrig.processing.tone import NO_TEXTURE_GREY
 
@@ -60,16 +67,15 @@ class DpvSettings:
     """How fast penalties grow, and the temperature rises, per grey level of noise."""
     search: SearchSettings = DEFAULT_SEARCH
 
-    def swell(self, noise: float) -> float:
-        """By how much penalties and temperature grow at a noise [grey levels]."""
-        return 1.0 + self.noise_share * noise
+    def matching(self, step_px: float) -> Matching:
+        """How costs of planes ``step_px`` apart are matched."""
+        return Matching(
+            self.truncation_grey, self.p1_grey, self.p2_grey, self.edge_grey, step_px, self.inverse_temperature,
+            self.noise_share,
+        )  # fmt: skip
 
 
 DEFAULT_DPV = DpvSettings()
-PATHS = 8
-"""Of semi-global matching: its totals are sums over them."""
-MOST_COST = 8191
-"""What a cost and P2 may be together, for eight paths to fit 16 bits."""
 
 
 def light_field_evidence(
@@ -111,11 +117,11 @@ def light_field_evidence(
     if views is None or views.limit_px < grid.furthest:
         limit = max(LIMIT_PX, grid.furthest)
         views = matching_views(light_field, settings.clipped_blur_px, limit_px=limit, threads=threads)
-    task = _Task(light_field.centre_view, views, grid, settings, threads, monitor)
+    matching = settings.matching(grid.step)
+    task = _Task(light_field.centre_view, views, grid, settings, matching, threads, monitor)
     match = _match_after_search(task, skips, tally) if skips.planes else _match_everywhere(task)
-    sharpness = settings.inverse_temperature / settings.swell(match.noise) / (PATHS * COST_UNIT)
     probability, index, confidence = softmax_peak(
-        match.total, sharpness, settings.window, span=match.span, threads=threads
+        match.total, matching.sharpness(match.noise), settings.window, span=match.span, threads=threads
     )
     disparity = np.asarray(grid.first + grid.step * index, np.float32)
     used, tested = len(views.full.padded), float(match.edges.mean())
@@ -128,6 +134,7 @@ class _Task:
     views: MatchingViews
     grid: PlaneGrid
     settings: DpvSettings
+    matching: Matching
     threads: int
     monitor: Monitor | None
 
@@ -137,36 +144,41 @@ class _Task:
             return np.zeros(disparity.shape, bool)
         return disparity_steps(disparity, self.settings, scale=scale)
 
-    def halves(self, edges: Mask) -> Halves | None:
-        return Halves(edges, self.settings.occlusion_bias_grey) if edges.any() else None
-
-    def sweep(self, *, span: I16 | None = None, halves: Halves | None = None, out: U16 | None = None) -> U16:
+    def sweep(self, edges: Mask | None = None, *, span: I16 | None = None, out: U16 | None = None) -> U16:
+        """Matching costs, with the half-aperture test at ``edges``."""
+        tested = edges is not None and bool(edges.any())
+        halves = Halves(edges, self.settings.occlusion_bias_grey) if edges is not None and tested else None
         return plane_cost(
             self.views.full, self.grid, self.settings.truncation_grey, span=span, halves=halves, out=out,
             threads=self.threads, monitor=self.monitor,
         )  # fmt: skip
 
-    def constrain_plain(self, cost: U16, noise: float, span: I16 | None = None) -> None:
-        """Give plain pixels the cost of their shading's disparity."""
+    def plain_areas(self, noise: float) -> PlainAreas | None:
+        """Where shading alone carries the disparity."""
         plain = self.settings.plain
-        if plain.enabled:
-            areas = find_plain_areas(self.views.full, self.views.half, noise, plain, threads=self.threads)
-            temperature = self.settings.inverse_temperature / self.settings.swell(noise)
-            blend_plain_cost(cost, self.grid, areas, temperature, plain.cap_grey, span=span, threads=self.threads)
+        if not plain.enabled:
+            return None
+        return find_plain_areas(self.views.full, self.views.half, noise, plain, threads=self.threads)
+
+    def constrain(
+        self, cost: U16, grid: PlaneGrid, areas: PlainAreas | None, noise: float, span: I16 | None = None
+    ) -> None:
+        """Give plain pixels the cost of their shading's disparity, in place."""
+        if areas is not None:
+            temperature = self.matching.inverse_temperature / self.matching.swell(noise)
+            cap = self.settings.plain.cap_grey
+            blend_plain_cost(cost, grid, areas, temperature, cap, span=span, threads=self.threads)
 
     def aggregate(self, cost: U16, noise: float, span: I16 | None = None) -> U16:
-        s, unit = self.settings, COST_UNIT * self.settings.swell(noise)
-        most = MOST_COST - round(s.truncation_grey * COST_UNIT)
-        return aggregate_u16(
-            cost, self.picture, s.p1_grey * unit, min(s.p2_grey * unit, most), s.edge_grey, span=span,
-            threads=self.threads,
-        )  # fmt: skip
+        return self.matching.aggregate(
+            cost, self.picture, noise, step_px=self.grid.step, span=span, threads=self.threads
+        )
 
 
 @dataclass(frozen=True)
 class _Match:
-    """``total`` uint16 [H, W, D], aggregated costs in 1/(8 `COST_UNIT`) grey levels, within ``span``; ``edges`` bool
-    [H, W], where halves of the aperture were tested.
+    """``total`` uint16 [H, W, D], aggregated costs within ``span``; ``edges`` bool [H, W], where halves of the aperture
+    were tested.
     """
 
     total: U16
@@ -178,40 +190,46 @@ class _Match:
 def _match_everywhere(task: _Task) -> _Match:
     cost = task.sweep()
     noise = noise_of_cost(cost, threads=task.threads)
-    task.constrain_plain(cost, noise)
+    task.constrain(cost, task.grid, task.plain_areas(noise), noise)
     total = task.aggregate(cost, noise)
     best = summarise(total, threads=task.threads).best
     edges = task.steps(best * np.float32(task.grid.step))
     if not edges.any():
         return _Match(total, None, noise, edges)
-    task.sweep(halves=task.halves(edges), out=cost)
+    del total
+    task.sweep(edges, out=cost)
     return _Match(task.aggregate(cost, noise), None, noise, edges)
 
 
 def _match_after_search(task: _Task, skips: Skips, tally: Tally | None) -> _Match:
     settings, half, grid = task.settings, task.views.half, task.grid
     chosen = half.cross() if skips.views else half.others()
-    matching = Matching(
-        settings.truncation_grey, settings.p1_grey, settings.p2_grey, settings.edge_grey, grid.step,
-        settings.inverse_temperature, settings.noise_share,
+    coarse = coarse_costs(
+        half, grid, settings.truncation_grey, settings.search, chosen=chosen, threads=task.threads,
+        monitor=task.monitor,
     )  # fmt: skip
-    found = coarse_search(
-        half, task.picture, grid, matching, settings.search, chosen=chosen, threads=task.threads, monitor=task.monitor
-    )
+    areas = task.plain_areas(NOISE_PER_HALF * coarse.noise)
+    if areas is not None:
+        task.constrain(coarse.cost, coarse.grid, areas.halved(), coarse.noise)
+    found = coarse_match(coarse, task.picture, task.matching, settings.search, threads=task.threads)
     shape = task.picture.shape[:2]
     span = found.span(grid, shape, settings.search)
     edges = _at_full_size(task.steps(found.disparity, scale=2), shape)
     start = time.process_time()
-    cost = task.sweep(span=span, halves=task.halves(edges))
+    cost = task.sweep(edges, span=span)
     if tally is not None:
-        samples = float(cost.size * len(task.views.full.others()))
-        active = 1.0 if span is None else float((span[..., 1] - span[..., 0]).mean()) / grid.count
-        tally.add("planes", samples * active, samples * (1 - active), "samples", time.process_time() - start)
-        coarse = float(half.height * half.width * found.planes)
-        tally.add("views", coarse * len(chosen), coarse * (len(half.others()) - len(chosen)), "samples", found.cpu_s)
+        _count(tally, task, span, time.process_time() - start, coarse, len(chosen))
     noise = noise_of_cost(cost, span=span, edges=edges, threads=task.threads)
-    task.constrain_plain(cost, noise, span)
+    task.constrain(cost, grid, areas, noise, span)
     return _Match(task.aggregate(cost, noise, span), span, noise, edges)
+
+
+def _count(tally: Tally, task: _Task, span: I16 | None, cpu_s: float, coarse: CoarseCosts, compared: int) -> None:
+    others = len(task.views.full.others())
+    samples = float(task.views.full.height * task.views.full.width * task.grid.count * others)
+    active = 1.0 if span is None else float((span[..., 1] - span[..., 0]).mean()) / task.grid.count
+    tally.add("planes", samples * active, samples * (1 - active), "samples", cpu_s)
+    tally.add("views", coarse.cost.size * compared, coarse.cost.size * (others - compared), "samples", coarse.cpu_s)
 
 
 def _at_full_size(mask: Mask, shape: tuple[int, ...]) -> Mask:
@@ -231,7 +249,8 @@ def disparity_steps(disparity: F32, settings: DpvSettings, *, scale: int = 1) ->
     """
     import cv2
 
-    size = 2 * round(settings.occlusion_radius / scale) + 1
+    slack = scale - 1  # a coarse map's steps are a pixel of its own less certain
+    size = 2 * (round(settings.occlusion_radius / scale) + slack) + 1
     window = np.ones((size, size), np.uint8)
     spread = cv2.dilate(disparity, window) - cv2.erode(disparity, window)
     return np.asarray(spread > settings.occlusion_gap_px)
@@ -281,7 +300,9 @@ def auto_range(
 
 def refuse_constant(light_field: LightField) -> None:
     """Raise `BadInput` when no view has any structure (a lens cap, a uniform wall)."""
-    if float(light_field.centre_view.std(axis=(0, 1)).max()) < NO_TEXTURE_GREY:
+    import cv2
+
+    if float(cv2.meanStdDev(light_field.centre_view)[1].max()) < NO_TEXTURE_GREY:
         raise BadInput(
             "the centre view is constant: nothing can be matched in it",
             path=light_field.id,

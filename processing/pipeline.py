@@ -22,9 +22,10 @@ from lfrig.processing import confidence as confidence_model
 from lfrig.processing.agreement import check_agreement
 from lfrig.processing.confidence import Clues
 from lfrig.processing.continuation import ContinuationSettings, continue_hidden
-from lfrig.processing.dpv import DpvSettings, auto_range, light_field_evidence
+from lfrig.processing.dpv import DpvSettings, auto_range, light_field_evidence, refuse_constant
 from lfrig.processing.edges import EdgeSettings, decide_edges
 from lfrig.processing.fusion import FusionSettings, fuse, inverse_depth_range
+from lfrig.processing.matching_views import matching_views
 from lfrig.processing.model import (
     F32,
     Anchors,
@@ -237,12 +238,14 @@ def check_options(options: ProcessOptions) -> None:
 def _evidence_of(
     light_field: LightField, prior: RigPrior, settings: Settings, threads: int, monitor: Monitor
 ) -> Evidence:
-    found = auto_range(light_field, threads=threads)
+    refuse_constant(light_field)
+    views = matching_views(light_field, settings.dpv.clipped_blur_px, threads=threads)
+    found = auto_range(light_field, views=views, threads=threads)
     expected = expected_range(light_field, prior)
     if expected is not None:
         lo, hi = max(found[0], expected[0]), min(found[1], expected[1])
         found = (lo, hi) if hi - lo > 0.1 * (found[1] - found[0]) else found
-    result = light_field_evidence(light_field, found, settings.dpv, threads=threads, monitor=monitor)
+    result = light_field_evidence(light_field, found, settings.dpv, views=views, threads=threads, monitor=monitor)
     monitor.advance()
     return result
 

@@ -72,6 +72,12 @@ class PlainAreas:
     precision: F32
     weight: F32
 
+    def halved(self) -> PlainAreas:
+        """On views of half size, in their pixels."""
+        height, width = (max(1, n // 2) for n in self.weight.shape)
+        parts = (self.disparity * np.float32(0.5), self.precision * np.float32(4), self.weight)
+        return PlainAreas(*(np.ascontiguousarray(part[::2, ::2][:height, :width], np.float32) for part in parts))
+
 
 def find_plain_areas(
     views: GreyViews, half: GreyViews, noise: float, settings: PlainSettings, *, threads: int = 0

@@ -23,7 +23,12 @@ from lfrig.processing.noise_floor import noise_of_cost
 
 I16 = NDArray[np.int16]
 I32 = NDArray[np.int32]
-Mask = NDArray[np.bool_]
+U16 = NDArray[np.uint16]
+
+PATHS = 8
+"""Of semi-global matching: its totals are sums over them."""
+MOST_COST = 8191
+"""What a cost and P2 may be together, for eight paths to fit 16 bits."""
 
 
 @dataclass(frozen=True)
@@ -46,8 +51,8 @@ DEFAULT_SEARCH = SearchSettings()
 
 @dataclass(frozen=True)
 class Matching:
-    """How costs are matched at full size: grey levels of cost on clean views, and how they swell per grey level of
-    noise; ``p1_grey`` is for a change of ``step_px``.
+    """How costs are matched: grey levels of cost on clean views, ``p1_grey`` for a change of ``step_px``; penalties and
+    temperature grow by ``noise_share`` per grey level of noise.
     """
 
     truncation_grey: float
@@ -58,18 +63,34 @@ class Matching:
     inverse_temperature: float
     noise_share: float
 
+    def swell(self, noise: float) -> float:
+        """By how much penalties and temperature grow at a noise [grey levels]."""
+        return 1.0 + self.noise_share * noise
+
+    def sharpness(self, noise: float) -> float:
+        """Inverse temperature per unit of aggregated cost."""
+        return self.inverse_temperature / self.swell(noise) / (PATHS * COST_UNIT)
+
+    def aggregate(
+        self, cost: U16, picture: U8, noise: float, *, step_px: float, span: I16 | None = None, threads: int = 0
+    ) -> U16:
+        """Semi-global matching: the sum over `PATHS` paths, uint16 [H, W, D]."""
+        unit = COST_UNIT * self.swell(noise)
+        most = MOST_COST - round(self.truncation_grey * COST_UNIT) - 1
+        large = min(self.p2_grey * unit, most)
+        small = min(self.p1_grey * unit * step_px / self.step_px, large / 1.5)
+        return aggregate_u16(cost, picture, small, large, self.edge_grey, span=span, threads=threads)
+
 
 @dataclass(frozen=True)
 class Search:
     """``disparity`` float32 [H/2, W/2], px per view step of the full size; ``first`` and ``last`` float32 [H/2, W/2],
-    the range of disparities that may be right; ``planes`` that were swept, in ``cpu_s``.
+    the range of disparities that may be right.
     """
 
     disparity: F32
     first: F32
     last: F32
-    planes: int
-    cpu_s: float
 
     def span(self, grid: PlaneGrid, shape: tuple[int, int], settings: SearchSettings) -> I16 | None:
         """Planes of ``grid`` that each tile needs: int16 [ceil(H/8), ceil(W/8), 2], first and one past last.
@@ -89,49 +110,64 @@ class Search:
         return np.ascontiguousarray(np.stack([first, past], -1).astype(np.int16))
 
 
-def coarse_search(
+@dataclass(frozen=True)
+class CoarseCosts:
+    """``cost`` uint16 [H/2, W/2, D] on the planes of ``grid``, in pixels of the half size; ``noise`` of the views at
+    half size [grey levels]. Computed in ``cpu_s``.
+    """
+
+    cost: U16
+    grid: PlaneGrid
+    noise: float
+    cpu_s: float
+
+
+def coarse_costs(
     half: GreyViews,
-    picture: U8,
     grid: PlaneGrid,
-    matching: Matching,
+    truncation_grey: float,
     settings: SearchSettings,
     *,
     chosen: I32,
     threads: int,
     monitor: Monitor | None,
-) -> Search:
-    """Sweep and match at half size.
+) -> CoarseCosts:
+    """Sweep at half size.
 
     Parameters
     ----------
     half : GreyViews
         The views at half size.
-    picture : uint8 [H, W, 3]
-        Centre view at full size.
     grid : PlaneGrid
         Planes of the full size: the range to search.
     chosen : int32 [n]
         Indices of the views to compare.
     """
-    import cv2
-
     start = time.process_time()
     length = grid.step * (grid.count - 1)
     count = max(2, int(np.ceil(length / settings.plane_step_px)) + 1)
     coarse = PlaneGrid(grid.first / 2, length / 2 / (count - 1), count)
-    cost = plane_cost(half, coarse, matching.truncation_grey, chosen=chosen, threads=threads, monitor=monitor)
-    swell = 1 + matching.noise_share * noise_of_cost(cost, threads=threads)
-    even = np.ascontiguousarray(picture[: 2 * half.height, : 2 * half.width])
-    guide = np.asarray(cv2.resize(even, (half.width, half.height), interpolation=cv2.INTER_AREA))
-    step = 2 * coarse.step
-    small, large = (swell * COST_UNIT * p for p in (matching.p1_grey * step / matching.step_px, matching.p2_grey))
-    total = aggregate_u16(cost, guide, small, max(small, large), matching.edge_grey, threads=threads)
-    margin = -np.log(settings.least_probability) * swell / matching.inverse_temperature * 8 * COST_UNIT
+    cost = plane_cost(half, coarse, truncation_grey, chosen=chosen, threads=threads, monitor=monitor)
+    return CoarseCosts(cost, coarse, noise_of_cost(cost, threads=threads), time.process_time() - start)
+
+
+def coarse_match(
+    costs: CoarseCosts, picture: U8, matching: Matching, settings: SearchSettings, *, threads: int
+) -> Search:
+    """Match at half size; ``picture`` is the centre view at full size, uint8 [H, W, 3]."""
+    import cv2
+
+    height, width = costs.cost.shape[:2]
+    even = np.ascontiguousarray(picture[: 2 * height, : 2 * width])
+    guide = np.asarray(cv2.resize(even, (width, height), interpolation=cv2.INTER_AREA))
+    step = 2 * costs.grid.step
+    total = matching.aggregate(costs.cost, guide, costs.noise, step_px=step, threads=threads)
+    margin = -np.log(settings.least_probability) / matching.sharpness(costs.noise)
     found = summarise(total, margin=int(margin), threads=threads)
     best, first, last = (
-        np.asarray(grid.first + step * k, np.float32) for k in (found.best, found.first, found.past - 1)
+        np.asarray(2 * costs.grid.first + step * k, np.float32) for k in (found.best, found.first, found.past - 1)
     )
-    return Search(best, first, last, count, time.process_time() - start)
+    return Search(best, first, last)
 
 
 def found_range(

@@ -2,9 +2,8 @@
 // Twin: plane_cost.py.
 //
 // Work is cut into blocks of 32 x 18 pixels, whose box means cover 30 x 16. A block goes through its planes 16 at a
-// time and, for these, through the views a few at a time, so that views and sums stay in the L1 cache; the innermost
-// loop runs down 18 rows with all sums in registers and interpolates each row once, for the row above and below.
-// Arithmetic is 16-bit fixed point (grey x 64). The AVX-512 form and the plain one give the same bits.
+// time and, for these, through the views a few at a time (lfrig/view_sums.hpp), so that views and sums stay in the L1
+// cache. Arithmetic is 16-bit fixed point (grey x 64).
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 
@@ -17,132 +16,21 @@
 
 #include "lfrig/parallel.hpp"
 #include "lfrig/transpose.hpp"
-
-#if defined(__x86_64__) && defined(__GNUC__)
-#include <immintrin.h>
-#define LFRIG_AVX512 __attribute__((target("avx512f,avx512bw,avx512vl")))
-#endif
+#include "lfrig/view_sums.hpp"
 
 namespace nb = nanobind;
 using nb::ndarray;
 
 namespace {
 
-constexpr int kLanes = 32, kRows = 18;              // what a block computes
-constexpr int kAcross = kLanes - 2, kDown = kRows - 2;  // what is left of it after the 3 x 3 box
-constexpr int kTile = 8;                            // side of the squares that spans are given for
-constexpr int kPlanes = 16;                         // planes of a block that are swept together
-constexpr int kViews = 8;                           // at most so many views are swept together
+using lfrig::kLanes;
+using lfrig::kRows;
+using lfrig::Shift;
 
-struct Shift {
-    ptrdiff_t at;    // of the sample's upper left pixel, relative to the pixel
-    int16_t wx, wy;  // fractions in 1/32768
-};
-
-Shift shift_of(float sx, float sy, ptrdiff_t view, ptrdiff_t stride) {
-    const float fx = std::floor(sx), fy = std::floor(sy);
-    auto fraction = [](float f) { return int16_t(std::min(32767, int(std::lrint(f * 32768.0f)))); };
-    return {view + ptrdiff_t(fy) * stride + ptrdiff_t(fx), fraction(sx - fx), fraction(sy - fy)};
-}
-
-// total[y][x] += (sum over the shifts of min(|bilinear(from + shift) - centre|, cap) + half) >> fold
-using Accumulate = void (*)(const int16_t *from, const Shift *shifts, int count, ptrdiff_t stride,
-                            const int16_t *centre, uint16_t cap, int fold, uint16_t *total);
-
-inline int16_t mix(int16_t a, int16_t b, int16_t weight) {
-    const int16_t d = int16_t(b - a);
-    return int16_t(a + int16_t((((int(d) * int(weight)) >> 14) + 1) >> 1));  // the form that becomes pmulhrsw
-}
-
-LFRIG_CLONES void accumulate_plain(const int16_t *__restrict from, const Shift *__restrict shifts, int count,
-                                   ptrdiff_t stride, const int16_t *__restrict centre, uint16_t cap, int fold,
-                                   uint16_t *__restrict total) {
-    uint16_t sum[kRows][kLanes] = {};
-    int16_t across[2][kLanes];
-    for (int v = 0; v < count; ++v) {
-        const int16_t *__restrict row = from + shifts[v].at;
-        const int16_t wx = shifts[v].wx, wy = shifts[v].wy;
-        for (int x = 0; x < kLanes; ++x) across[0][x] = mix(row[x], row[x + 1], wx);
-        for (int y = 0; y < kRows; ++y) {
-            row += stride;
-            const int16_t *__restrict upper = across[y & 1];
-            int16_t *__restrict lower = across[(y & 1) ^ 1];
-            const int16_t *__restrict own = centre + y * stride;
-            uint16_t *__restrict s = sum[y];
-            for (int x = 0; x < kLanes; ++x) {
-                lower[x] = mix(row[x], row[x + 1], wx);
-                const int16_t e = int16_t(mix(upper[x], lower[x], wy) - own[x]);
-                const uint16_t m = uint16_t(e < 0 ? -e : e);
-                s[x] = uint16_t(s[x] + (m < cap ? m : cap));
-            }
-        }
-    }
-    const int half = fold ? 1 << (fold - 1) : 0;
-    for (int y = 0; y < kRows; ++y)
-        for (int x = 0; x < kLanes; ++x)
-            total[y * kLanes + x] = uint16_t(total[y * kLanes + x] + uint16_t((sum[y][x] + half) >> fold));
-}
-
-#ifdef LFRIG_AVX512
-LFRIG_AVX512 inline __m512i mix512(__m512i a, __m512i b, __m512i weight) {
-    return _mm512_add_epi16(a, _mm512_mulhrs_epi16(_mm512_sub_epi16(b, a), weight));
-}
-
-LFRIG_AVX512 inline __m512i across512(const int16_t *row, __m512i weight) {
-    __m512i a = _mm512_loadu_si512(row);
-    asm("" : "+v"(a));  // keep it: it would be loaded twice
-    return mix512(a, _mm512_loadu_si512(row + 1), weight);
-}
-
-constexpr int kHeld = 9;  // rows whose sums and centre pixels fit the 32 registers
-
-LFRIG_AVX512 void accumulate_held(const int16_t *from, const Shift *shifts, int count, ptrdiff_t stride,
-                                  const int16_t *centre, uint16_t cap, int fold, uint16_t *total) {
-    __m512i sum[kHeld], own[kHeld];
-#pragma GCC unroll 9
-    for (int y = 0; y < kHeld; ++y) {
-        sum[y] = _mm512_setzero_si512();
-        own[y] = _mm512_loadu_si512(centre + y * stride);
-    }
-    const __m512i limit = _mm512_set1_epi16(int16_t(cap));
-    for (int v = 0; v < count; ++v) {
-        const int16_t *row = from + shifts[v].at;
-        const __m512i wx = _mm512_set1_epi16(shifts[v].wx), wy = _mm512_set1_epi16(shifts[v].wy);
-        __m512i upper = across512(row, wx);
-#pragma GCC unroll 9
-        for (int y = 0; y < kHeld; ++y) {
-            row += stride;
-            const __m512i lower = across512(row, wx);
-            const __m512i e = _mm512_sub_epi16(mix512(upper, lower, wy), own[y]);
-            sum[y] = _mm512_add_epi16(sum[y], _mm512_min_epu16(_mm512_abs_epi16(e), limit));
-            upper = lower;
-        }
-    }
-    const __m512i half = _mm512_set1_epi16(fold ? int16_t(1 << (fold - 1)) : 0);
-    const __m128i by = _mm_cvtsi32_si128(fold);
-#pragma GCC unroll 9
-    for (int y = 0; y < kHeld; ++y) {
-        const __m512i part = _mm512_srl_epi16(_mm512_add_epi16(sum[y], half), by);
-        uint16_t *t = total + y * kLanes;
-        _mm512_storeu_si512(t, _mm512_add_epi16(_mm512_loadu_si512(t), part));
-    }
-}
-
-LFRIG_AVX512 void accumulate_avx512(const int16_t *from, const Shift *shifts, int count, ptrdiff_t stride,
-                                    const int16_t *centre, uint16_t cap, int fold, uint16_t *total) {
-    static_assert(kRows % kHeld == 0);
-    for (int y = 0; y < kRows; y += kHeld)
-        accumulate_held(from + y * stride, shifts, count, stride, centre + y * stride, cap, fold,
-                        total + y * kLanes);
-}
-#endif
-
-Accumulate fastest() {
-#ifdef LFRIG_AVX512
-    if (__builtin_cpu_supports("avx512bw") && __builtin_cpu_supports("avx512vl")) return accumulate_avx512;
-#endif
-    return accumulate_plain;
-}
+constexpr int kAcross = kLanes - 2, kDown = kRows - 2;  // what is left of a block after the 3 x 3 box
+constexpr int kTile = 8;                                // side of the squares that spans are given for
+constexpr int kPlanes = 16;                             // planes of a block that are swept together
+constexpr int kViews = 8;                               // at most so many views are swept together
 
 LFRIG_CLONES void add_totals(const uint16_t *__restrict part, uint16_t *__restrict total) {
     for (int i = 0; i < kRows * kLanes; ++i) total[i] = uint16_t(total[i] + part[i]);
@@ -194,7 +82,7 @@ struct Sweep {
     const int16_t *span;            // [ceil(H / 8), ceil(W / 8), 2] or null
     const uint8_t *edges;           // [H, W] or null
     bool only_edges;
-    Accumulate accumulate;
+    lfrig::Accumulate accumulate;
     uint16_t *out;
 };
 
@@ -371,7 +259,7 @@ void plane_cost(Views views, int centre, ndarray<const float, nb::ndim<2>, nb::c
     s.edges = edges.size() ? edges.data() : nullptr;
     s.only_edges = only_edges;
     s.cap = uint16_t(cap), s.bias = uint16_t(bias);
-    s.accumulate = plain ? accumulate_plain : fastest();
+    s.accumulate = plain ? lfrig::accumulate_plain : lfrig::fastest();
     s.out = out.data();
     s.together = std::min(kViews, 65534 / cap);
     // Sums over all views are kept in 16 bits, each group's rounded to `fold` bits less.
@@ -392,7 +280,7 @@ void plane_cost(Views views, int centre, ndarray<const float, nb::ndim<2>, nb::c
     for (int k = 0; k < s.planes; ++k)
         for (int v : order) {
             const float delta = first + step * float(k), *o = offsets.data() + 2 * v;
-            s.shifts.push_back(shift_of(-o[1] * delta, -o[0] * delta, v * view_size, s.stride));
+            s.shifts.push_back(lfrig::shift_of(-o[1] * delta, -o[0] * delta, v * view_size, s.stride));
         }
     const int bands = (s.height + kDown - 1) / kDown;
     lfrig::parallel_for(bands, threads, [&](int band) {

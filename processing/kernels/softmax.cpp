@@ -16,12 +16,20 @@ using nb::ndarray;
 
 namespace {
 
-constexpr int kLanes = 16;  // sums are kept in as many parts, whatever the vector width, and added in one order
-constexpr int kTile = 8;    // side of the squares that spans are given for
+// Loops run over whole groups of lanes, behind the last plane over costs that count for nothing: sums are kept in as
+// many parts as there are lanes, whatever the vector width, and added in one order.
+constexpr int kLanes = 16;
+constexpr int kTile = 8;  // side of the squares that spans are given for
 
-LFRIG_CLONES uint16_t least(const uint16_t *__restrict cost, int planes) {
+int whole(int planes) { return (planes + kLanes - 1) / kLanes * kLanes; }
+
+LFRIG_CLONES uint16_t least(const uint16_t *__restrict cost, int lanes) {
+    uint16_t part[kLanes];
+    for (uint16_t &p : part) p = 65535;
+    for (int k = 0; k < lanes; k += kLanes)
+        for (int j = 0; j < kLanes; ++j) part[j] = cost[k + j] < part[j] ? cost[k + j] : part[j];
     uint16_t low = 65535;
-    for (int k = 0; k < planes; ++k) low = cost[k] < low ? cost[k] : low;
+    for (uint16_t p : part) low = p < low ? p : low;
     return low;
 }
 
@@ -31,25 +39,24 @@ LFRIG_CLONES uint32_t sum_of(const uint16_t *__restrict cost, int planes) {
     return sum;
 }
 
-// weight[k] = exp((low - cost[k]) * sharpness); returns their sum.
-LFRIG_CLONES float exponentials(const uint16_t *__restrict cost, uint16_t low, float sharpness, int planes,
+// weight[k] = exp((low - cost[k]) * sharpness), 0 behind the last plane; returns their sum.
+LFRIG_CLONES float exponentials(const uint16_t *__restrict cost, uint16_t low, float sharpness, int planes, int lanes,
                                 float *__restrict weight) {
     float part[kLanes] = {};
-    int k = 0;
-    for (; k + kLanes <= planes; k += kLanes)
+    for (int k = 0; k < lanes; k += kLanes)
         for (int j = 0; j < kLanes; ++j) {
             const float w = lfrig::exp_of_minus(float(int(cost[k + j]) - int(low)) * sharpness);
-            weight[k + j] = w;
-            part[j] += w;
+            weight[k + j] = k + j < planes ? w : 0.0f;
+            part[j] += weight[k + j];
         }
-    float sum = 0;
-    for (float p : part) sum += p;
-    for (; k < planes; ++k) sum += weight[k] = lfrig::exp_of_minus(float(int(cost[k]) - int(low)) * sharpness);
-    return sum;
+    for (int j = 0; j < 8; ++j) part[j] += part[j + 8];
+    for (int j = 0; j < 4; ++j) part[j] += part[j + 4];
+    return (part[0] + part[2]) + (part[1] + part[3]);
 }
 
-LFRIG_CLONES void quantise(const float *__restrict weight, float scale, int planes, uint16_t *__restrict out) {
-    for (int k = 0; k < planes; ++k) out[k] = uint16_t(int32_t(weight[k] * scale + 0.5f));
+LFRIG_CLONES void quantise(const float *__restrict weight, float scale, int lanes, uint16_t *__restrict out) {
+    for (int k = 0; k < lanes; k += kLanes)
+        for (int j = 0; j < kLanes; ++j) out[k + j] = uint16_t(int32_t(weight[k + j] * scale + 0.5f));
 }
 
 using Cost = ndarray<const uint16_t, nb::ndim<3>, nb::c_contig, nb::device::cpu>;
@@ -62,11 +69,9 @@ struct Planes {
     const int16_t *span;  // [ceil(H / 8), ceil(W / 8), 2] or null
     int across, count;
 
-    Planes(const Span &given, const Cost &cost)
-        : span(given.size() ? given.data() : nullptr),
-          across((int(cost.shape(1)) + kTile - 1) / kTile),
-          count(int(cost.shape(2))) {
-        const int down = (int(cost.shape(0)) + kTile - 1) / kTile;
+    Planes(const Span &given, int height, int width, int planes)
+        : span(given.size() ? given.data() : nullptr), across((width + kTile - 1) / kTile), count(planes) {
+        const int down = (height + kTile - 1) / kTile;
         if (span && (int(given.shape(0)) != down || int(given.shape(1)) != across || given.shape(2) != 2))
             throw std::invalid_argument("the span does not match the volume");
     }
@@ -87,30 +92,42 @@ bool same(const A &map, size_t height, size_t width) {
     return map.shape(0) == height && map.shape(1) == width;
 }
 
-// cost uint16 [H, W, D]; probability uint16 [H, W, D] (65535 = 1), peak index and mass float32 [H, W].
-void softmax_peak(Cost cost, Span span, float sharpness, int window,
-                  ndarray<uint16_t, nb::ndim<3>, nb::c_contig, nb::device::cpu> probability, Map<float> index,
-                  Map<float> confidence, int threads) {
-    const size_t height = cost.shape(0), width = cost.shape(1), planes = cost.shape(2);
-    if (!same(probability, height, width) || probability.shape(2) != planes || !same(index, height, width) ||
-        !same(confidence, height, width))
+// A pixel's active costs, and 65535 up to a whole group of lanes.
+const uint16_t *padded(const uint16_t *cost, int planes, int lanes, std::vector<uint16_t> &buffer) {
+    std::copy(cost, cost + planes, buffer.begin());
+    std::fill(buffer.begin() + planes, buffer.begin() + lanes, uint16_t(65535));
+    return buffer.data();
+}
+
+// volume uint16 [H, W, D]: costs, which probabilities (65535 = 1) take the place of; peak index and mass float32
+// [H, W].
+void softmax_peak(ndarray<uint16_t, nb::ndim<3>, nb::c_contig, nb::device::cpu> volume, Span span, float sharpness,
+                  int window, Map<float> index, Map<float> confidence, int threads) {
+    const size_t height = volume.shape(0), width = volume.shape(1), planes = volume.shape(2);
+    if (!same(index, height, width) || !same(confidence, height, width))
         throw std::invalid_argument("softmax_peak: shapes do not match");
     if (planes < 1 || window < 0) throw std::invalid_argument("softmax_peak: no plane, or a negative window");
-    const Planes active(span, cost);
-    const uint16_t *from = cost.data();
-    uint16_t *to = probability.data();
+    const Planes active(span, int(height), int(width), int(planes));
+    uint16_t *data = volume.data();
     float *peak = index.data(), *mass = confidence.data();
     nb::gil_scoped_release release;
     lfrig::parallel_for(int(height), threads, [&](int y) {
-        std::vector<float> weight(planes);
+        const int most = whole(int(planes));
+        std::vector<float> weight(most);
+        std::vector<uint16_t> buffer(most), quantised(most);
         for (int x = 0; x < int(width); ++x) {
             int first, n;
             active.of(y, x, &first, &n);
+            const int lanes = whole(n);
             const size_t pixel = size_t(y) * width + x;
-            const uint16_t *c = from + pixel * planes + first;
-            const uint16_t low = least(c, n);
-            const float sum = exponentials(c, low, sharpness, n, weight.data());
-            quantise(weight.data(), 65535.0f / sum, n, to + pixel * planes + first);
+            uint16_t *out = data + pixel * planes;
+            const uint16_t *c = padded(out + first, n, lanes, buffer);
+            const uint16_t low = least(c, lanes);
+            const float sum = exponentials(c, low, sharpness, n, lanes, weight.data());
+            quantise(weight.data(), 65535.0f / sum, lanes, quantised.data());
+            std::fill(out, out + first, uint16_t(0));
+            std::copy(quantised.begin(), quantised.begin() + n, out + first);
+            std::fill(out + first + n, out + planes, uint16_t(0));
             const int best = int(std::find(c, c + n, low) - c);
             float near = 0, moment = 0;
             for (int k = std::max(0, best - window); k <= std::min(n - 1, best + window); ++k) {
@@ -132,16 +149,18 @@ void summarise(Cost cost, Span span, int every, int margin, Map<uint16_t> lowest
         !same(mean, down, across) || !same(best, down, across) || !same(first_near, down, across) ||
         !same(past_near, down, across) || planes < 1)
         throw std::invalid_argument("summarise: shapes do not match");
-    const Planes active(span, cost);
+    const Planes active(span, int(cost.shape(0)), int(width), int(planes));
     const uint16_t *from = cost.data();
     nb::gil_scoped_release release;
     lfrig::parallel_for(int(down), threads, [&](int row) {
+        std::vector<uint16_t> buffer(whole(int(planes)));
         for (size_t column = 0; column < across; ++column) {
             int first, n;
             active.of(row * every, int(column) * every, &first, &n);
             const size_t at = size_t(row) * across + column;
             const uint16_t *c = from + (size_t(row) * every * width + column * every) * planes + first;
-            const uint16_t low = least(c, n);
+            c = padded(c, n, whole(n), buffer);
+            const uint16_t low = least(c, whole(n));
             const int limit = int(low) + margin;
             int a = 0, b = n - 1;
             while (c[a] > limit) ++a;
@@ -158,9 +177,9 @@ void summarise(Cost cost, Span span, int every, int margin, Map<uint16_t> lowest
 }  // namespace
 
 void register_softmax(nb::module_ &m) {
-    m.def("softmax_peak", &softmax_peak, nb::arg("cost").noconvert(), nb::arg("span").noconvert(),
-          nb::arg("sharpness"), nb::arg("window"), nb::arg("probability").noconvert(), nb::arg("index").noconvert(),
-          nb::arg("confidence").noconvert(), nb::arg("threads"));
+    m.def("softmax_peak", &softmax_peak, nb::arg("volume").noconvert(), nb::arg("span").noconvert(),
+          nb::arg("sharpness"), nb::arg("window"), nb::arg("index").noconvert(), nb::arg("confidence").noconvert(),
+          nb::arg("threads"));
     m.def("summarise", &summarise, nb::arg("cost").noconvert(), nb::arg("span").noconvert(), nb::arg("every"),
           nb::arg("margin"), nb::arg("lowest").noconvert(), nb::arg("mean").noconvert(), nb::arg("best").noconvert(),
           nb::arg("first_near").noconvert(), nb::arg("past_near").noconvert(), nb::arg("threads"));

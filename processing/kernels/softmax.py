@@ -32,6 +32,7 @@ def softmax_peak(
     Parameters
     ----------
     cost : uint16 [H, W, D]
+        Probabilities take its place: the memory of a volume is worth more than the costs.
     inverse_temperature : float
         Sharpness per unit of cost.
     span : int16 [ceil(H/8), ceil(W/8), 2], optional
@@ -39,19 +40,16 @@ def softmax_peak(
 
     Returns
     -------
-    probability uint16 [H, W, D] (65535 = 1), peak index float32 [H, W], confidence float32 [H, W] (mass at the peak).
-        The same bits for any thread count; C++ and NumPy differ by rounding.
+    probability uint16 [H, W, D] (65535 = 1; the given volume), peak index float32 [H, W], confidence float32 [H, W]
+        (mass at the peak). The same bits for any thread count; C++ and NumPy differ by rounding.
     """
     native = load_native("lfrig.processing.kernels._native")
     if native is None:
         return softmax_peak_numpy(cost, inverse_temperature, window, span)
-    probability = np.zeros(cost.shape, np.uint16)
     index, confidence = (np.empty(cost.shape[:2], np.float32) for _ in range(2))
-    native.softmax_peak(
-        np.ascontiguousarray(cost, np.uint16), NO_SPAN if span is None else np.ascontiguousarray(span, np.int16),
-        inverse_temperature, window, probability, index, confidence, threads,
-    )  # fmt: skip
-    return probability, index, confidence
+    active = NO_SPAN if span is None else np.ascontiguousarray(span, np.int16)
+    native.softmax_peak(cost, active, inverse_temperature, window, index, confidence, threads)
+    return cost, index, confidence
 
 
 @dataclass(frozen=True)
@@ -106,7 +104,6 @@ def in_span(span: I16 | None, shape: tuple[int, ...]) -> Mask:
 def softmax_peak_numpy(cost: U16, inverse_temperature: float, window: int, span: I16 | None) -> tuple[U16, F32, F32]:
     """NumPy twin of `softmax_peak`."""
     height, width, planes = cost.shape
-    probability = np.empty(cost.shape, np.uint16)
     index = np.empty((height, width), np.float32)
     confidence = np.empty((height, width), np.float32)
     labels = np.arange(planes, dtype=np.float32)
@@ -116,13 +113,13 @@ def softmax_peak_numpy(cost: U16, inverse_temperature: float, window: int, span:
         block = np.where(active[y : y + rows], cost[y : y + rows], np.inf).astype(np.float32)
         p = np.exp((block.min(2, keepdims=True) - block) * np.float32(inverse_temperature))
         p /= p.sum(2, keepdims=True)
-        probability[y : y + rows] = (p * np.float32(65535) + np.float32(0.5)).astype(np.uint16)
+        cost[y : y + rows] = (p * np.float32(65535) + np.float32(0.5)).astype(np.uint16)
         near = np.abs(labels - block.argmin(2)[..., None]) <= window
         p *= near
         mass = p.sum(2)
         confidence[y : y + rows] = np.minimum(mass, 1)
         index[y : y + rows] = (p @ labels) / mass
-    return probability, index, confidence
+    return cost, index, confidence
 
 
 def summarise_numpy(cost: U16, span: I16 | None, margin: int, every: int) -> Summary:
