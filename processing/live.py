@@ -20,6 +20,7 @@ from lfrig.contracts.result import StageReport
 from lfrig.processing.model import Evidence, Image, LightField, Photo, Pose, RigPrior, Source, SynthesizedLightField
 from lfrig.processing.options import ProcessOptions, check_options
 from lfrig.processing.pipeline import locate, synthesize, wanted_light_field
+from lfrig.processing.plate import crop_photo, crop_to_plate, paste_surface, photo_box, uncrop_camera
 from lfrig.processing.prepare import find_evidence, metric_depth_range
 from lfrig.processing.reconstruct import Target, reconstruct
 from lfrig.processing.resolution import scale_light_field, scale_photo
@@ -113,6 +114,8 @@ class LiveFusion:
             clock = StageClock(monitor or Monitor())
             small = self._scaled(light_field)
             with clock.stage("evidence", 1) as note:
+                if self.options.knobs.skips.plate:
+                    (small,) = crop_to_plate([small], self.prior, note.tally)
                 (evidence,) = find_evidence(
                     [small], self.prior, self.options.knobs, threads=self.options.threads, monitor=clock.monitor,
                     tally=note.tally,
@@ -195,13 +198,17 @@ class LiveFusion:
     def _compute(self, shots: Mapping[str, _Shot], target: Photo, clock: StageClock) -> LiveView:
         options, light_fields = self.options, [shot.light_field for shot in shots.values()]
         evidence = [shot.evidence for shot in shots.values()]
-        solution, sources = locate(light_fields, target, evidence, self.prior, options, clock)
+        box = photo_box(target, self.prior) if options.knobs.skips.plate else None
+        shown = crop_photo(target, box)
+        solution, sources = locate(light_fields, shown, evidence, self.prior, options, clock)
         camera, pose = solution.target_camera, solution.target_pose
         request = wanted_light_field(options, sources, pose)
         surface = reconstruct(
-            sources, Target(target.image8, camera, pose), metric_depth_range(light_fields, self.prior, solution),
+            sources, Target(shown.image8, camera, pose), metric_depth_range(light_fields, self.prior, solution),
             request, options.knobs, clock, threads=options.threads,
         )  # fmt: skip
+        height, width = target.image.shape[:2]
+        camera, surface = uncrop_camera(camera, box, width, height), paste_surface(surface, box, width, height)
         image = target.image if options.bit_depth == 16 else target.image8
         made = synthesize(image, surface, camera, request, options, clock)
         return LiveView(made, pose, tuple(sources), tuple(clock.reports), tuple(clock.monitor.notices))

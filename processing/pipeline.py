@@ -32,6 +32,7 @@ from lfrig.processing.model import (
     SynthesizedLightField,
 )
 from lfrig.processing.options import ProcessOptions, check_options
+from lfrig.processing.plate import crop_photo, crop_to_plate, paste_surface, photo_box, uncrop_camera
 from lfrig.processing.poses import PoseSolution, solve_poses
 from lfrig.processing.prepare import find_evidence, fit_sources, metric_depth_range
 from lfrig.processing.reconstruct import Target, reconstruct
@@ -115,20 +116,26 @@ def process(
         working = [scale_light_field(lf, resolution) for lf in sources]
         photo = scale_photo(target, resolution)
 
+    box = None
     with clock.stage("evidence", len(working)) as note:
         if evidence is None:
+            if settings.skips.plate:
+                working, box = crop_to_plate(working, prior, note.tally), photo_box(photo, prior)
             evidence = find_evidence(
                 working, prior, settings, store=store, threads=threads, monitor=monitor, tally=note.tally
             )
             note.skipped(sum(1 - e.occlusion_tested for e in evidence) * 100 / len(evidence), "% half-aperture tests")
             note.done(sum(e.occlusion_tested for e in evidence) * 100 / len(evidence))
-    solution, ready = locate(working, photo, evidence, prior, options, clock)
+    shown = crop_photo(photo, box)
+    solution, ready = locate(working, shown, evidence, prior, options, clock)
     camera, pose = solution.target_camera, solution.target_pose
     request = wanted_light_field(options, ready, pose)
     surface = reconstruct(
-        ready, Target(photo.image8, camera, pose), metric_depth_range(working, prior, solution), request, settings,
+        ready, Target(shown.image8, camera, pose), metric_depth_range(working, prior, solution), request, settings,
         clock, threads=threads,
     )  # fmt: skip
+    height, width = photo.image.shape[:2]
+    camera, surface = uncrop_camera(camera, box, width, height), paste_surface(surface, box, width, height)
     if resolution != 1.0:
         height, width = target.image.shape[:2]
         camera, surface = camera.resized(width, height), scale_surface(surface, width, height)
