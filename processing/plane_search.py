@@ -7,7 +7,6 @@ the light field has at all, and where it has steps. The coarse sweep compares th
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 
 import numpy as np
@@ -113,13 +112,12 @@ class Search:
 @dataclass(frozen=True)
 class CoarseCosts:
     """``cost`` uint16 [H/2, W/2, D] on the planes of ``grid``, in pixels of the half size; ``noise`` of the views at
-    half size [grey levels]. Computed in ``cpu_s``.
+    half size [grey levels].
     """
 
     cost: U16
     grid: PlaneGrid
     noise: float
-    cpu_s: float
 
 
 def coarse_costs(
@@ -143,12 +141,11 @@ def coarse_costs(
     chosen : int32 [n]
         Indices of the views to compare.
     """
-    start = time.process_time()
     length = grid.step * (grid.count - 1)
     count = max(2, int(np.ceil(length / settings.plane_step_px)) + 1)
     coarse = PlaneGrid(grid.first / 2, length / 2 / (count - 1), count)
     cost = plane_cost(half, coarse, truncation_grey, chosen=chosen, threads=threads, monitor=monitor)
-    return CoarseCosts(cost, coarse, noise_of_cost(cost, threads=threads), time.process_time() - start)
+    return CoarseCosts(cost, coarse, noise_of_cost(cost, threads=threads))
 
 
 def coarse_match(

@@ -39,8 +39,8 @@ inline int16_t mix(int16_t a, int16_t b, int16_t weight) {
 }
 
 LFRIG_CLONES inline void accumulate_plain(const int16_t *__restrict from, const Shift *__restrict shifts, int count,
-                                   ptrdiff_t stride, const int16_t *__restrict centre, uint16_t cap, int fold,
-                                   uint16_t *__restrict total) {
+                                          ptrdiff_t stride, const int16_t *__restrict centre, uint16_t cap, int fold,
+                                          uint16_t *__restrict total) {
     uint16_t sum[kRows][kLanes] = {};
     int16_t across[2][kLanes];
     for (int v = 0; v < count; ++v) {
@@ -72,16 +72,19 @@ LFRIG_AVX512 inline __m512i mix512(__m512i a, __m512i b, __m512i weight) {
     return _mm512_add_epi16(a, _mm512_mulhrs_epi16(_mm512_sub_epi16(b, a), weight));
 }
 
+template <bool kMix>
 LFRIG_AVX512 inline __m512i across512(const int16_t *row, __m512i weight) {
     __m512i a = _mm512_loadu_si512(row);
     asm("" : "+v"(a));  // keep it: it would be loaded twice
-    return mix512(a, _mm512_loadu_si512(row + 1), weight);
+    return kMix ? mix512(a, _mm512_loadu_si512(row + 1), weight) : a;
 }
 
 constexpr int kHeld = 9;  // rows whose sums and centre pixels fit the 32 registers
 
+// kX, kY: whether any shift has a fraction in x, in y.
+template <bool kX, bool kY>
 LFRIG_AVX512 inline void accumulate_held(const int16_t *from, const Shift *shifts, int count, ptrdiff_t stride,
-                                  const int16_t *centre, uint16_t cap, int fold, uint16_t *total) {
+                                         const int16_t *centre, uint16_t cap, int fold, uint16_t *total) {
     __m512i sum[kHeld], own[kHeld];
 #pragma GCC unroll 9
     for (int y = 0; y < kHeld; ++y) {
@@ -92,12 +95,12 @@ LFRIG_AVX512 inline void accumulate_held(const int16_t *from, const Shift *shift
     for (int v = 0; v < count; ++v) {
         const int16_t *row = from + shifts[v].at;
         const __m512i wx = _mm512_set1_epi16(shifts[v].wx), wy = _mm512_set1_epi16(shifts[v].wy);
-        __m512i upper = across512(row, wx);
+        __m512i upper = across512<kX>(row, wx);
 #pragma GCC unroll 9
         for (int y = 0; y < kHeld; ++y) {
             row += stride;
-            const __m512i lower = across512(row, wx);
-            const __m512i e = _mm512_sub_epi16(mix512(upper, lower, wy), own[y]);
+            const __m512i lower = kY || y + 1 < kHeld ? across512<kX>(row, wx) : upper;
+            const __m512i e = _mm512_sub_epi16(kY ? mix512(upper, lower, wy) : upper, own[y]);
             sum[y] = _mm512_add_epi16(sum[y], _mm512_min_epu16(_mm512_abs_epi16(e), limit));
             upper = lower;
         }
@@ -113,11 +116,14 @@ LFRIG_AVX512 inline void accumulate_held(const int16_t *from, const Shift *shift
 }
 
 LFRIG_AVX512 inline void accumulate_avx512(const int16_t *from, const Shift *shifts, int count, ptrdiff_t stride,
-                                    const int16_t *centre, uint16_t cap, int fold, uint16_t *total) {
+                                           const int16_t *centre, uint16_t cap, int fold, uint16_t *total) {
     static_assert(kRows % kHeld == 0);
-    for (int y = 0; y < kRows; y += kHeld)
-        accumulate_held(from + y * stride, shifts, count, stride, centre + y * stride, cap, fold,
-                        total + y * kLanes);
+    int x = 0, y = 0;
+    for (int v = 0; v < count; ++v) x |= shifts[v].wx, y |= shifts[v].wy;
+    const auto held = x ? (y ? accumulate_held<true, true> : accumulate_held<true, false>)
+                        : (y ? accumulate_held<false, true> : accumulate_held<false, false>);
+    for (int row = 0; row < kRows; row += kHeld)
+        held(from + row * stride, shifts, count, stride, centre + row * stride, cap, fold, total + row * kLanes);
 }
 #endif
 

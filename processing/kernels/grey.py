@@ -47,6 +47,13 @@ class GreyViews:
         every = self.others()
         return every[(np.abs(self.offsets[every]) < 1e-6).any(1)]
 
+    def star(self) -> NDArray[np.int32]:
+        """Indices of the views in the centre's row, column and diagonals of the array, without the centre."""
+        every = self.others()
+        down, across = np.abs(self.offsets[every]).T
+        on_it = (down < 1e-6) | (across < 1e-6) | (np.abs(down - across) < 1e-6)
+        return np.asarray(every[on_it], np.int32)
+
     def reach_px(self, disparity: float) -> float:
         """How far any view's pixels move at a disparity [px per view step]."""
         return abs(disparity) * float(np.abs(self.offsets).max(initial=0.0))
