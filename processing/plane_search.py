@@ -36,7 +36,8 @@ class SearchSettings:
 
     plane_step_px: float = 0.12
     least_probability: float = 0.01
-    """Planes less likely than this share of the best one, at the coarse level, are ruled out."""
+    """Planes less likely than this share of the best one, at the coarse level, are ruled out (on clean views; noise
+    leaves much of the probability on many planes, and lowers it)."""
     reach_px: int = 4
     """How far a tile also looks at its surroundings' planes."""
     slack_px: float = 0.09
@@ -159,7 +160,8 @@ def coarse_match(
     guide = np.asarray(cv2.resize(even, (width, height), interpolation=cv2.INTER_AREA))
     step = 2 * costs.grid.step
     total = matching.aggregate(costs.cost, guide, costs.noise, step_px=step, threads=threads)
-    margin = -np.log(settings.least_probability) / matching.sharpness(costs.noise)
+    least = settings.least_probability / matching.swell(costs.noise) ** 2
+    margin = -np.log(least) / matching.sharpness(costs.noise)
     found = summarise(total, margin=int(margin), threads=threads)
     best, first, last = (
         np.asarray(2 * costs.grid.first + step * k, np.float32) for k in (found.best, found.first, found.past - 1)
