@@ -8,6 +8,7 @@ Taniai & Sinha, 3DV 2017). C++ form: ``sgm.cpp``.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -253,30 +254,72 @@ def aggregate_u16(
     fits = guide.shape[:2] == (height, width) and (shift is None or shift.shape == (4, height, width))
     if not fits or (span is not None and span.shape != tiles) or (out is not None and out.shape != cost.shape):
         raise ValueError(f"shapes do not match the cost's {cost.shape}")
-    table = penalty_table(p1, p2, edge_grey)
-    step, cap = round(p1), PATH_LIMIT - int(table.max())
-    if not 0 <= step <= PATH_LIMIT or cap < 1:
-        raise ValueError(f"penalties {p1:g} and {p2:g} leave no room below {PATH_LIMIT}: take a coarser unit")
+    penalties = Penalties.of(guide, p1, p2, edge_grey, threads=threads)
     native = load_native("lfrig.processing.kernels._native")
     if native is None:
-        total = _aggregate_u16_numpy(np.minimum(cost, cap), _penalties_numpy(guide, table), step, span, shift)
+        total = _aggregate_u16_numpy(cost, penalties, span, shift)
         if out is None:
             return total
         out[:] = total
         return out
-    penalties = np.empty((4, height, width), np.uint16)
-    native.edge_penalties(np.ascontiguousarray(guide), table, penalties, threads)
     result = np.empty_like(cost, order="C") if out is None else out
-    none = np.zeros((0, 0, 0), np.int16)
-    moved, active = (none if a is None else np.ascontiguousarray(a, np.int16) for a in (shift, span))
-    native.sgm_u16(np.ascontiguousarray(cost), penalties, moved, active, step, cap, result, threads)
+    native.sgm_u16(
+        np.ascontiguousarray(cost), penalties.jump, optional_i16(shift), optional_i16(span), penalties.step,
+        penalties.cap, result, threads,
+    )  # fmt: skip
     return result
 
 
-def penalty_table(p1: float, p2: float, edge_grey: float) -> U16:
-    """P2 in fixed point by the sum of the absolute RGB differences 0..765, uint16 [766] (see `edge_penalties`)."""
-    lowered = p2 / (1 + np.arange(766) / edge_grey)
-    return np.asarray(np.rint(np.clip(np.maximum(1.5 * p1, lowered), 0, PATH_LIMIT)), np.uint16)
+def finest_unit(cap: float, p1: float, p2: float) -> int:
+    """Fixed-point steps per unit of cost for `aggregate_u16`: as many as let costs up to ``cap`` and the penalties fit.
+
+    Raises
+    ------
+    ValueError
+        Not even one does.
+    """
+    unit = int(PATH_LIMIT / (cap + max(p2, 1.5 * p1)))
+    if unit < 1:
+        raise ValueError(f"costs up to {cap:g} and penalties {p1:g} and {p2:g} do not fit below {PATH_LIMIT}")
+    return unit
+
+
+@dataclass(frozen=True)
+class Penalties:
+    """Of changes of label, in fixed point: ``step`` (P1) and ``jump`` uint16 [4, H, W], P2 to the right, down,
+    down-right and down-left neighbour (last rows and columns unused); and ``cap``, the most that a cost may be.
+    """
+
+    step: int
+    jump: U16
+    cap: int
+
+    @classmethod
+    def of(cls, guide: U8, p1: float, p2: float, edge_grey: float, *, threads: int = 0) -> Penalties:
+        """Lowered at the edges of the guide, as by `edge_penalties`.
+
+        Raises
+        ------
+        ValueError
+            They leave no room for costs.
+        """
+        # By the sum of the absolute RGB differences, 0..765.
+        lowered = p2 / (1 + np.arange(766) / edge_grey)
+        table = np.rint(np.clip(np.maximum(1.5 * p1, lowered), 0, PATH_LIMIT)).astype(np.uint16)
+        step, cap = round(p1), PATH_LIMIT - int(table.max())
+        if not 0 <= step <= PATH_LIMIT or cap < 1:
+            raise ValueError(f"penalties {p1:g} and {p2:g} leave no room below {PATH_LIMIT}: take a coarser unit")
+        native = load_native("lfrig.processing.kernels._native")
+        if native is None:
+            return cls(step, _penalties_numpy(guide, table), cap)
+        jump = np.empty((4, *guide.shape[:2]), np.uint16)
+        native.edge_penalties(np.ascontiguousarray(guide), table, jump, threads)
+        return cls(step, jump, cap)
+
+
+def optional_i16(values: I16 | None) -> I16:
+    """As the kernels take it: empty where there is none."""
+    return np.zeros((0, 0, 0), np.int16) if values is None else np.ascontiguousarray(values, np.int16)
 
 
 def _penalties_numpy(guide: U8, table: U16) -> U16:
@@ -290,10 +333,11 @@ def _penalties_numpy(guide: U8, table: U16) -> U16:
     return out
 
 
-def _aggregate_u16_numpy(cost: U16, penalties: U16, p1: int, span: I16 | None, shift: I16 | None) -> U16:
-    """NumPy twin of `aggregate_u16`; ``cost`` is already capped."""
+def _aggregate_u16_numpy(cost: U16, penalties: Penalties, span: I16 | None, shift: I16 | None) -> U16:
+    """NumPy twin of `aggregate_u16`."""
     active = None if span is None else active_labels(span, cost.shape)
-    total = _sum_of_paths(cost.astype(np.int32), penalties.astype(np.int32), np.int32(p1), shift, active)
+    capped = np.minimum(cost, penalties.cap).astype(np.int32)
+    total = _sum_of_paths(capped, penalties.jump.astype(np.int32), np.int32(penalties.step), shift, active)
     if active is not None:
         total[~active] = INACTIVE
     return np.asarray(total, np.uint16)

@@ -7,15 +7,12 @@
 #include <vector>
 
 #include "lfrig/parallel.hpp"
-#include "lfrig/semi_global.hpp"
+#include "sgm_arrays.hpp"
 
 namespace nb = nanobind;
 using nb::ndarray;
 
 namespace {
-
-using CU3 = ndarray<const uint16_t, nb::ndim<3>, nb::c_contig, nb::device::cpu>;
-using CI3 = ndarray<const int16_t, nb::ndim<3>, nb::c_contig, nb::device::cpu>;
 
 LFRIG_CLONES void absolute_differences(const uint8_t *__restrict a, const uint8_t *__restrict b, int count,
                                        uint8_t *__restrict out) {
@@ -50,31 +47,15 @@ void edge_penalties(ndarray<const uint8_t, nb::ndim<3>, nb::c_contig, nb::device
     });
 }
 
-// cost, out uint16 [H, W, D]; penalty uint16 [4, H, W] as above; shift int16 [4, H, W] likewise, or empty;
-// span int16 [ceil(H / 8), ceil(W / 8), 2], or empty. `cap` + every penalty <= 8191.
+// out uint16 [H, W, D]; the others as for `semi_global_of`.
 void sgm_u16(CU3 cost, CU3 penalty, CI3 shift, CI3 span, int p1, int cap,
              ndarray<uint16_t, nb::ndim<3>, nb::c_contig, nb::device::cpu> out, int threads) {
-    lfrig::SemiGlobal v{};
-    v.height = int(cost.shape(0)), v.width = int(cost.shape(1)), v.labels = int(cost.shape(2));
-    const size_t pixels = size_t(v.height) * v.width;
-    const int down = (v.height + lfrig::kSpanTile - 1) / lfrig::kSpanTile;
-    const int across = (v.width + lfrig::kSpanTile - 1) / lfrig::kSpanTile;
-    const auto matches = [&](const auto &a, int n0, int n1, int n2) {
-        return int(a.shape(0)) == n0 && int(a.shape(1)) == n1 && int(a.shape(2)) == n2;
-    };
-    if (!matches(out, v.height, v.width, v.labels) || !matches(penalty, 4, v.height, v.width) ||
-        (shift.size() && !matches(shift, 4, v.height, v.width)) || (span.size() && !matches(span, down, across, 2)))
-        throw std::invalid_argument("sgm_u16: shapes do not match");
-    if (pixels * v.labels == 0) return;
-    const uint16_t most = *std::max_element(penalty.data(), penalty.data() + penalty.size());
-    if (p1 < 0 || cap < 0 || p1 > lfrig::kPathLimit || cap + int(most) > lfrig::kPathLimit)
-        throw std::invalid_argument("sgm_u16: penalties out of range");
-    v.cost = cost.data(), v.sum = out.data(), v.penalty = penalty.data();
-    v.shift = shift.size() ? shift.data() : nullptr;
-    v.span = span.size() ? span.data() : nullptr;
-    v.p1 = uint16_t(p1), v.cap = uint16_t(cap);
+    lfrig::SemiGlobal v = semi_global_of(cost, penalty, shift, span, p1, cap);
+    for (int axis = 0; axis < 3; ++axis)
+        if (out.shape(axis) != cost.shape(axis)) throw std::invalid_argument("sgm_u16: shapes do not match");
+    v.sum = out.data();
     nb::gil_scoped_release release;
-    lfrig::aggregate(v, threads);
+    lfrig::aggregate(v, threads, [&] { return lfrig::KeepSums{v}; });
 }
 
 }  // namespace

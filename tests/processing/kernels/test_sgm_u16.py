@@ -64,6 +64,19 @@ def test_huge_costs_count_as_the_most_that_fits() -> None:
     assert (full >= 8 * (sgm.PATH_LIMIT - 900)).all(), "a sum has run over"
 
 
+@pytest.mark.parametrize("penalties", [(4.0, 50.0), (0.2, 2.0), (3.0, 1.0)])
+def test_the_finest_unit_just_fits(penalties) -> None:
+    p1, p2 = penalties
+    cap = 20.0
+    unit = sgm.finest_unit(cap, p1, p2)
+    guide = np.zeros((3, 4, 3), np.uint8)
+    assert sgm.Penalties.of(guide, unit * p1, unit * p2, 30.0).cap >= unit * cap
+    finer = 1.02 * (unit + 1)
+    assert sgm.Penalties.of(guide, finer * p1, finer * p2, 30.0).cap < finer * cap
+    with pytest.raises(ValueError, match="do not fit"):
+        sgm.finest_unit(9000.0, p1, p2)
+
+
 def test_spans_that_cover_every_label_change_nothing() -> None:
     cost, guide, _ = problem((19, 27, 45))
     span = np.zeros((3, 4, 2), np.int16)
