@@ -6,6 +6,7 @@ namespace nb = nanobind;
 void register_band_cost(nb::module_ &m);
 void register_colour_evidence(nb::module_ &m);
 void register_fusion(nb::module_ &m);
+void register_label_peak(nb::module_ &m);
 void register_lenslet(nb::module_ &m);
 void register_plane_cost(nb::module_ &m);
 void register_plane_fit(nb::module_ &m);
@@ -13,6 +14,7 @@ void register_sgm(nb::module_ &m);
 void register_sgm_u16(nb::module_ &m);
 void register_softmax(nb::module_ &m);
 void register_spline(nb::module_ &m);
+void register_surface(nb::module_ &m);
 void register_unpack(nb::module_ &m);
 void register_warp(nb::module_ &m);
 
@@ -21,6 +23,7 @@ NB_MODULE(_native, m) {
     register_band_cost(m);
     register_colour_evidence(m);
     register_fusion(m);
+    register_label_peak(m);
     register_lenslet(m);
     register_plane_cost(m);
     register_plane_fit(m);
@@ -28,6 +31,7 @@ NB_MODULE(_native, m) {
     register_sgm_u16(m);
     register_softmax(m);
     register_spline(m);
+    register_surface(m);
     register_unpack(m);
     register_warp(m);
 }
