@@ -22,6 +22,8 @@ GAMMA_LIMITS = (0.6, 1.6)
 SPREAD = 0.15
 """Standard deviation of log values below which only a gain is fitted."""
 SATURATED_GREY = 250
+SATURATED_SHARE = 0.02
+"""Share of saturated pixels in the blur from which on a value is a lower bound only."""
 NO_TEXTURE_GREY = 0.5
 """Standard deviation below which a picture shows nothing that could be matched."""
 
@@ -42,6 +44,17 @@ class Tone:
         if np.abs(self.gamma - 1).max() > 1e-6:
             lifted = np.power(lifted, self.gamma, dtype=np.float32)
         return np.asarray(np.clip(lifted * self.gain, 0, 255), np.float32)
+
+
+    def apply_marked(self, image: U8) -> U8:
+        """The same for grey levels uint8 [H, W, 4] whose last channel is kept, by a table."""
+        import cv2
+
+        table = np.empty((256, 1, 4), np.uint8)
+        levels = np.repeat(np.arange(256, dtype=np.float32)[:, None], 3, 1)
+        table[:, 0, :3] = np.rint(self.apply(levels))
+        table[:, 0, 3] = np.arange(256)
+        return np.asarray(cv2.LUT(image, table), np.uint8)
 
 
 def fit_tone(photo: F32, colour: F32, seen: Mask) -> Tone:
@@ -92,6 +105,17 @@ def luma(image: U8) -> F32:
     return np.asarray(image.astype(np.float32) @ LUMA, np.float32)
 
 
+def marked(image: U8, sigma: float) -> U8:
+    """RGB uint8 [H, W, 3] blurred, with a fourth channel that is not 0 where the blur holds saturated pixels."""
+    import cv2
+
+    out = np.empty((*image.shape[:2], 4), np.uint8)
+    cv2.mixChannels([cv2.GaussianBlur(image, (0, 0), sigma)], [out], [0, 0, 1, 1, 2, 2])
+    out[..., 3] = saturation(image, sigma) > SATURATED_SHARE
+    return out
+
+
 def saturation(image: U8, sigma: float) -> F32:
     """Share of saturated pixels in each pixel's blur, float32 [H, W]."""
-    return blurred(np.asarray((image >= SATURATED_GREY).any(2), np.float32), sigma)
+    bright = image.max(2) >= SATURATED_GREY
+    return blurred(bright.astype(np.float32), sigma) if bright.any() else np.zeros(bright.shape, np.float32)

@@ -4,9 +4,9 @@
 namespace nb = nanobind;
 
 void register_band_cost(nb::module_ &m);
-void register_colour_evidence(nb::module_ &m);
 void register_fusion(nb::module_ &m);
 void register_lenslet(nb::module_ &m);
+void register_occupancy(nb::module_ &m);
 void register_plane_cost(nb::module_ &m);
 void register_plane_fit(nb::module_ &m);
 void register_sgm(nb::module_ &m);
@@ -18,9 +18,9 @@ void register_warp(nb::module_ &m);
 NB_MODULE(_native, m) {
     m.doc() = "lfrig's native kernels; each has a NumPy twin in the Python file of its name.";
     register_band_cost(m);
-    register_colour_evidence(m);
     register_fusion(m);
     register_lenslet(m);
+    register_occupancy(m);
     register_plane_cost(m);
     register_plane_fit(m);
     register_sgm(m);
