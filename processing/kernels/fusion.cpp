@@ -168,12 +168,12 @@ void sort_bricks(const Job &job, int n, int pixels, Workspace &work, Counts &cou
             work.constant[k] += job.mean_pool ? 0 : constant_evidence(job, meets[k]);
             work.constant_mass[k] += outside ? 0 : 1;
             ++(outside ? counts.unseen : counts.empty);
+            counts.inside += outside ? 0 : pixels;
         } else {
             const Sampling rimmed = mass ? kRimmed : kRimmedSurface, whole = meets[k] & kVisible ? kPlain : kStraddling;
             work.lists[!inside ? rimmed : mass ? whole : kSurfaceOnly].push_back(k);
             ++counts.sampled;
         }
-        if (inside) counts.inside += pixels;
     }
 }
 
@@ -194,14 +194,12 @@ void fuse_block(const Job &job, int x0, int y0, Workspace &work, Counts &counts)
         for (int how = 0; how < kSamplings; ++how) {
             const std::vector<int> &ks = work.lists[how];
             if (ks.empty()) continue;
-            int32_t inside = 0;
-            if (job.mean_pool)
-                add_mean_evidence(s, work.rays[n], job.planes, Sampling(how), ks.data(), int(ks.size()), valid, evidence,
-                                  work.mass.data(), inside);
-            else
-                add_log_evidence(s, work.rays[n], job.planes, job.pool, Sampling(how), ks.data(), int(ks.size()), valid,
-                                 evidence, inside);
-            counts.inside += inside;
+            const int32_t seen =
+                job.mean_pool ? add_mean_evidence(s, work.rays[n], job.planes, Sampling(how), ks.data(), int(ks.size()),
+                                                  valid, evidence, work.mass.data())
+                              : add_log_evidence(s, work.rays[n], job.planes, job.pool, Sampling(how), ks.data(),
+                                                 int(ks.size()), valid, evidence);
+            counts.inside += seen;
         }
     }
     for (int k = 0; k < planes; ++k)
