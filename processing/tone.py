@@ -22,8 +22,6 @@ GAMMA_LIMITS = (0.6, 1.6)
 SPREAD = 0.15
 """Standard deviation of log values below which only a gain is fitted."""
 SATURATED_GREY = 250
-SATURATED_SHARE = 0.02
-"""Share of saturated pixels in the blur from which on a value is a lower bound only."""
 NO_TEXTURE_GREY = 0.5
 """Standard deviation below which a picture shows nothing that could be matched."""
 
@@ -106,16 +104,11 @@ def luma(image: U8) -> F32:
 
 
 def marked(image: U8, sigma: float) -> U8:
-    """RGB uint8 [H, W, 3] blurred, with a fourth channel that is not 0 where the blur holds saturated pixels."""
+    """RGB uint8 [H, W, 3] blurred, with the share of saturated pixels in the blur (/255) as a fourth channel."""
     import cv2
 
+    below = cv2.inRange(image, np.zeros(3), np.full(3, SATURATED_GREY - 1.0))
     out = np.empty((*image.shape[:2], 4), np.uint8)
-    cv2.mixChannels([cv2.GaussianBlur(image, (0, 0), sigma)], [out], [0, 0, 1, 1, 2, 2])
-    out[..., 3] = saturation(image, sigma) > SATURATED_SHARE
+    soft, share = cv2.GaussianBlur(image, (0, 0), sigma), cv2.GaussianBlur(cv2.bitwise_not(below), (0, 0), sigma)
+    cv2.mixChannels([soft, share], [out], [0, 0, 1, 1, 2, 2, 3, 3])
     return out
-
-
-def saturation(image: U8, sigma: float) -> F32:
-    """Share of saturated pixels in each pixel's blur, float32 [H, W]."""
-    bright = image.max(2) >= SATURATED_GREY
-    return blurred(bright.astype(np.float32), sigma) if bright.any() else np.zeros(bright.shape, np.float32)

@@ -38,50 +38,71 @@ LFRIG_INLINE Place place(const FusionSource &s, float x, float y, float z, float
 }
 
 // The pixel before a coordinate in [0, last], such that there is one after it.
-LFRIG_INLINE int32_t before(float at, int32_t last) { return std::min(int32_t(at), last - 1); }
+template <bool kKnownInside>
+LFRIG_INLINE int32_t before(float at, int32_t last) {
+    return kKnownInside ? int32_t(at) : std::min(int32_t(at), last - 1);
+}
 
-// `count` rays at one plane: where their voxels lie in the source's arrays, and what is read there. Reading is a loop of
-// its own: loads from anywhere do not vectorise, and what compilers make of them inside a vectorised loop is slower.
-template <int kCount>
-struct Footprints {
-    alignas(64) int32_t at[kCount];        // first of the eight voxels, or first of the four pixels
-    alignas(64) int32_t nearest[kCount];   // pixel
-    alignas(64) int32_t inside[kCount];
-    alignas(64) float fu[kCount], fv[kCount], fq[kCount];  // shares of the later pixel, row and plane
-    alignas(64) float width[kCount];       // target plane in planes of the source; 0 beyond them
-    alignas(64) float bound[kCount];       // the surface hides the voxel from this disparity on
-    alignas(64) uint32_t corner[4][kCount];
-    alignas(64) float seen[kCount];        // disparity of the surface
-};
+LFRIG_INLINE int32_t nearest_pixel(const Place &p, int32_t width) {
+    return int32_t(p.v + 0.5f) * width + int32_t(p.u + 0.5f);
+}
 
-// Keeps a value out of the vectoriser's sight.
+// Keeps an index out of the vectoriser's sight. Reading from anywhere is a loop of its own: such loads do not vectorise,
+// and what compilers make of them inside a vectorised loop is slower, hardware gathers included.
 LFRIG_INLINE size_t opaque(int32_t index) {
     size_t at = size_t(index);
     __asm__("" : "+r"(at));
     return at;
 }
 
-// 32 bits from each of four neighbours: pixels a, b, and c, d in the next row.
-template <int kCount>
-LFRIG_INLINE void read_corners(const void *data, size_t pixel_bytes, size_t row_bytes, int unit_bytes,
-                               Footprints<kCount> &f) {
-    const char *base = static_cast<const char *>(data);
-    for (int i = 0; i < kCount; ++i) {
-        const char *from = base + opaque(f.at[i]) * unit_bytes;
-        std::memcpy(&f.corner[0][i], from, 4), std::memcpy(&f.corner[1][i], from + pixel_bytes, 4);
-        std::memcpy(&f.corner[2][i], from + row_bytes, 4);
-        std::memcpy(&f.corner[3][i], from + row_bytes + pixel_bytes, 4);
+// Where the voxels of a brick lie in the source's volume, and what is read there.
+struct Footprints {
+    alignas(64) int32_t at[kRays];       // the first of the eight voxels
+    alignas(64) int32_t nearest[kRays];  // pixel
+    alignas(64) int32_t inside[kRays];
+    alignas(64) float fu[kRays], fv[kRays], fq[kRays];  // shares of the later pixel, row and plane
+    alignas(64) float factor[kRays];     // from values between the voxels to probability; 0 beyond the planes
+    alignas(64) float bound[kRays];      // the surface hides the voxel from this disparity on
+    alignas(64) uint32_t corner[4][kRays];  // two planes each, of pixels a, b, and c, d in the next row
+    alignas(64) float seen[kRays];       // disparity of the surface
+};
+
+// `scale`: of the values; target planes are `stretch` / (ratio of depths)^2 of the source's planes wide at pixel z.
+template <bool kKnownInside, bool kMass, bool kVisible, bool kStretched>
+LFRIG_INLINE void find_footprints(const FusionSource &s, const Rays &rays, const TargetPlanes &t, float margin,
+                                  float scale, float stretch, int k, Footprints &f) {
+    const float w = t.w0 + t.dw * float(k), widest = 4.0f * scale, wide = stretch * scale;
+    const PlaneIndex index = plane_index(s, t, w);
+    const int32_t last = s.planes - 1, width = s.width, height = s.height, planes = s.planes;
+    const float step = s.step, offset = s.first + margin, end = float(last);
+    for (int i = 0; i < kRays; ++i) {
+        const Place p = place<kKnownInside>(s, rays.x[i], rays.y[i], rays.z[i], w, index);
+        if (kMass) {
+            const bool known = (p.q >= 0) & (p.q < end);
+            const float q = known ? p.q : 0;
+            const int32_t iu = before<kKnownInside>(p.u, width - 1), iv = before<kKnownInside>(p.v, height - 1);
+            const int32_t iq = int32_t(q);
+            f.at[i] = (iv * width + iu) * planes + iq;
+            f.fu[i] = p.u - float(iu), f.fv[i] = p.v - float(iv), f.fq[i] = q - float(iq);
+            // Mass per target plane: the source's planes are stretched along this ray by |d delta / d w|.
+            const float factor = std::min(widest, wide * std::fabs(rays.z[i]) * (p.inverse * p.inverse));
+            f.factor[i] = known ? (kStretched ? factor : scale) : 0;
+        }
+        if (!kVisible) {
+            f.bound[i] = p.q * step + offset;
+            f.nearest[i] = nearest_pixel(p, width);
+        }
+        if (!kKnownInside) f.inside[i] = p.inside;
     }
 }
 
-template <int kCount>
-LFRIG_INLINE void read_surface(const FusionSource &s, Footprints<kCount> &f) {
-    for (int i = 0; i < kCount; ++i) f.seen[i] = s.disparity[opaque(f.nearest[i])];
-}
-
-// How far the source's own surface hides a voxel, 0..1.
-LFRIG_INLINE float hidden(float seen, float bound, float per_px) {
-    return std::min(1.0f, std::max(0.0f, (seen - bound) * per_px));
+LFRIG_INLINE void read_volume(const FusionSource &s, Footprints &f) {
+    const size_t pixel = size_t(s.planes), row = size_t(s.width) * pixel;
+    for (int i = 0; i < kRays; ++i) {
+        const uint16_t *from = s.probability + opaque(f.at[i]);
+        std::memcpy(&f.corner[0][i], from, 4), std::memcpy(&f.corner[1][i], from + pixel, 4);
+        std::memcpy(&f.corner[2][i], from + row, 4), std::memcpy(&f.corner[3][i], from + row + pixel, 4);
+    }
 }
 
 // Between two neighbouring planes of one pixel, packed.
@@ -90,63 +111,47 @@ LFRIG_INLINE float along_planes(uint32_t both, float share) {
     return a + share * (b - a);
 }
 
-// Finds the footprints of a brick: rays [kRays] at plane index `k`.
-template <bool kKnownInside>
-LFRIG_INLINE void find_footprints(const FusionSource &s, const Rays &rays, const TargetPlanes &t, float margin, int k,
-                                  Footprints<kRays> &f) {
-    const float w = t.w0 + t.dw * float(k), stretch = std::fabs(t.dw / (s.scale_a * s.step));
-    const PlaneIndex index = plane_index(s, t, w);
-    const int32_t last = s.planes - 1, width = s.width, height = s.height, planes = s.planes;
-    const float step = s.step, offset = s.first + margin, end = float(last);
-    for (int i = 0; i < kRays; ++i) {
-        const Place p = place<kKnownInside>(s, rays.x[i], rays.y[i], rays.z[i], w, index);
-        const bool known = (p.q >= 0) & (p.q < end);
-        const float q = known ? p.q : 0;
-        const int32_t iu = before(p.u, width - 1), iv = before(p.v, height - 1), iq = int32_t(q);
-        f.at[i] = (iv * width + iu) * planes + iq;
-        f.fu[i] = p.u - float(iu), f.fv[i] = p.v - float(iv), f.fq[i] = q - float(iq);
-        // Mass per target plane: the source's planes are stretched along this ray by |d delta / d w|.
-        const float wide = std::min(4.0f, stretch * std::fabs(rays.z[i]) * (p.inverse * p.inverse));
-        f.width[i] = known ? wide : 0;
-        f.bound[i] = p.q * step + offset;
-        f.nearest[i] = int32_t(p.v + 0.5f) * width + int32_t(p.u + 0.5f);
-        f.inside[i] = p.inside;
-    }
-}
-
-// Trilinear probability per 65535.
-LFRIG_INLINE float probability(const Footprints<kRays> &f, int i) {
+// Trilinear value in the volume, 0..65535.
+LFRIG_INLINE float value_at(const Footprints &f, int i) {
     const float a = along_planes(f.corner[0][i], f.fq[i]), b = along_planes(f.corner[1][i], f.fq[i]);
     const float c = along_planes(f.corner[2][i], f.fq[i]), d = along_planes(f.corner[3][i], f.fq[i]);
     const float top = a + f.fu[i] * (b - a), low = c + f.fu[i] * (d - c);
     return top + f.fv[i] * (low - top);
 }
 
-LFRIG_INLINE void read_volume(const FusionSource &s, Footprints<kRays> &f) {
-    const size_t pixel_bytes = size_t(s.planes) * sizeof(uint16_t);
-    read_corners(s.probability, pixel_bytes, size_t(s.width) * pixel_bytes, sizeof(uint16_t), f);
+// How far the source's own surface hides a voxel, 0..1.
+LFRIG_INLINE float hidden(float seen, float bound, float per_px) {
+    return std::min(1.0f, std::max(0.0f, (seen - bound) * per_px));
 }
 
-// Adds the log evidence of bricks `ks` to `evidence` [planes][kRays]; returns the rays inside.
+LFRIG_INLINE int32_t count_inside(const int32_t *inside, const int32_t *valid) {
+    int32_t count = 0;
+    for (int i = 0; i < kRays; ++i) count += inside[i] & valid[i];
+    return count;
+}
+
+// Adds the log evidence of bricks `ks` to `evidence` [planes][kRays]; returns the rays inside, when that was asked.
 template <bool kKnownInside, bool kMass, bool kVisible>
 LFRIG_INLINE int32_t add_scores(const FusionSource &s, const Rays &rays, const TargetPlanes &t, const Pool &pool,
                                 const int *ks, int count, const int32_t *valid, float *evidence) {
-    const float share = (1.0f - pool.floor_share) * (1.0f / 65535.0f), per_px = 2.0f / pool.margin;
+    const float scale = (1.0f - pool.floor_share) * (1.0f / 65535.0f), per_px = 2.0f / pool.margin;
+    const float stretch = std::fabs(t.dw / (s.scale_a * s.step));
     const float neutral = pool.neutral, floor_mass = pool.floor_mass, nothing = log_of(floor_mass);
     int32_t inside = 0;
     for (int n = 0; n < count; ++n) {
-        Footprints<kRays> f;
-        find_footprints<kKnownInside>(s, rays, t, pool.margin, ks[n], f);
+        Footprints f;
+        find_footprints<kKnownInside, kMass, kVisible, true>(s, rays, t, pool.margin, scale, stretch, ks[n], f);
         if (kMass) read_volume(s, f);
-        if (!kVisible) read_surface(s, f);
+        if (!kVisible)
+            for (int i = 0; i < kRays; ++i) f.seen[i] = s.disparity[opaque(f.nearest[i])];
         float *__restrict row = evidence + size_t(ks[n]) * kRays;
         for (int i = 0; i < kRays; ++i) {
-            float score = kMass ? log_of(share * probability(f, i) * f.width[i] + floor_mass) : nothing;
+            float score = kMass ? log_of(value_at(f, i) * f.factor[i] + floor_mass) : nothing;
             if (!kVisible) score = std::max(score, score + hidden(f.seen[i], f.bound[i], per_px) * (neutral - score));
             if (!kKnownInside) score = f.inside[i] ? score : neutral;
             row[i] += score;
-            inside += f.inside[i] & valid[i];
         }
+        if (!kKnownInside) inside += count_inside(f.inside, valid);
     }
     return inside;
 }
@@ -155,18 +160,17 @@ LFRIG_INLINE int32_t add_scores(const FusionSource &s, const Rays &rays, const T
 template <bool kMass>
 LFRIG_INLINE int32_t add_means(const FusionSource &s, const Rays &rays, const TargetPlanes &t, const int *ks, int count,
                                const int32_t *valid, float *evidence, float *mass) {
-    int32_t inside = 0;
+        int32_t inside = 0;
     for (int n = 0; n < count; ++n) {
-        Footprints<kRays> f;
-        find_footprints<false>(s, rays, t, 0.0f, ks[n], f);
+        Footprints f;
+        find_footprints<false, kMass, true, false>(s, rays, t, 0.0f, 1.0f / 65535.0f, 0.0f, ks[n], f);
         if (kMass) read_volume(s, f);
         float *__restrict row = evidence + size_t(ks[n]) * kRays, *__restrict weight = mass + size_t(ks[n]) * kRays;
         for (int i = 0; i < kRays; ++i) {
-            const float known = f.width[i] > 0 && f.inside[i] ? 1.0f / 65535.0f : 0.0f;
-            if (kMass) row[i] += probability(f, i) * known;
+            if (kMass) row[i] += value_at(f, i) * f.factor[i] * float(f.inside[i]);
             weight[i] += float(f.inside[i]);
-            inside += f.inside[i] & valid[i];
         }
+        inside += count_inside(f.inside, valid);
     }
     return inside;
 }
@@ -197,53 +201,78 @@ struct ColourTerm {
     float reach;  // log evidence below a ray's best from which on colours are not asked
 };
 
-// A block's pixels: colours and whether they may be compared where the source is brighter.
-struct PhotoBlock {
-    alignas(64) float colour[3][kRays], bounded[kRays];
-};
-
-LFRIG_INLINE float channel(uint32_t colour, int c) { return float(int32_t(colour >> (8 * c) & 0xff)); }
-
+constexpr int32_t kSaturated = 5;  // /255: share of saturated pixels in the blur up to which a value is a value
 constexpr int kGroup = 16;  // rays that are asked for their colours together
 constexpr int kGroups = kRays / kGroup;
 
-// What the photo's pixel has against the colour that the source shows, mean over r, g, b [grey levels].
-LFRIG_INLINE float mismatch(const PhotoBlock &photo, int pixel, const Footprints<kGroup> &f, int i) {
-    const uint32_t a = f.corner[0][i], b = f.corner[1][i], c = f.corner[2][i], d = f.corner[3][i];
-    // A saturated value is a lower bound: being brighter than it says nothing.
-    const float under = (a | b | c | d) >> 24 ? 0.0f : 1.0f, over = photo.bounded[pixel];
-    float sum = 0;
-#pragma GCC unroll 3
-    for (int j = 0; j < 3; ++j) {
-        const float top = channel(a, j) + f.fu[i] * (channel(b, j) - channel(a, j));
-        const float low = channel(c, j) + f.fu[i] * (channel(d, j) - channel(c, j));
-        const float rise = photo.colour[j][pixel] - (top + f.fv[i] * (low - top));
-        sum += under * std::max(rise, 0.0f) + over * std::max(-rise, 0.0f);
+// A block's pixels: colours, and a mask of ones where they are no lower bounds.
+struct PhotoBlock {
+    alignas(64) int32_t colour[3][kRays], exact[kRays];
+};
+
+// Where a group of voxels lies in the source's picture, and what is read there. Weights of the four pixels add up to 256.
+struct ColourFootprints {
+    alignas(64) int32_t at[kGroup], nearest[kGroup], inside[kGroup];
+    alignas(64) uint32_t weight[4][kGroup];
+    alignas(64) float bound[kGroup], seen[kGroup];
+    alignas(64) uint32_t row[2][2 * kGroup];  // two pixels each
+};
+
+template <bool kPlainView>
+LFRIG_INLINE void find_colours(const FusionSource &s, const float *x, const float *y, const float *z, float w,
+                               PlaneIndex index, float margin, ColourFootprints &f) {
+    const float offset = s.first + margin, step = s.step;
+    const int32_t width = s.width, height = s.height;
+    for (int i = 0; i < kGroup; ++i) {
+        const Place p = place<kPlainView>(s, x[i], y[i], z[i], w, index);
+        const int32_t iu = before<kPlainView>(p.u, width - 1), iv = before<kPlainView>(p.v, height - 1);
+        const uint32_t fu = uint32_t(int32_t((p.u - float(iu)) * 256.0f + 0.5f));
+        const uint32_t fv = uint32_t(int32_t((p.v - float(iv)) * 256.0f + 0.5f)), both = (fu * fv) >> 8;
+        f.weight[0][i] = 256 - fu - fv + both, f.weight[1][i] = fu - both;
+        f.weight[2][i] = fv - both, f.weight[3][i] = both;
+        f.at[i] = iv * width + iu;
+        if (!kPlainView) {
+            f.bound[i] = p.q * step + offset;
+            f.nearest[i] = nearest_pixel(p, width);
+            f.inside[i] = p.inside;
+        }
     }
-    return sum * (1.0f / 3.0f);
+}
+
+// What the photo's pixels have against the colours that the source shows: mean over r, g, b times 768. Two channels
+// share a word: with weights that add up to 256 neither overflows its 16 bits.
+LFRIG_INLINE int32_t mismatch(const PhotoBlock &photo, int pixel, const ColourFootprints &f, int i) {
+    constexpr uint32_t kOdd = 0x00ff00ff;
+    const uint32_t a = f.row[0][2 * i], b = f.row[0][2 * i + 1], c = f.row[1][2 * i], d = f.row[1][2 * i + 1];
+    const uint32_t wa = f.weight[0][i], wb = f.weight[1][i], wc = f.weight[2][i], wd = f.weight[3][i];
+    const uint32_t red_blue = (a & kOdd) * wa + (b & kOdd) * wb + (c & kOdd) * wc + (d & kOdd) * wd;
+    const uint32_t green_mark =
+        (a >> 8 & kOdd) * wa + (b >> 8 & kOdd) * wb + (c >> 8 & kOdd) * wc + (d >> 8 & kOdd) * wd;
+    const int32_t red = photo.colour[0][pixel] - int32_t(red_blue & 0xffff);
+    const int32_t green = photo.colour[1][pixel] - int32_t(green_mark & 0xffff);
+    const int32_t blue = photo.colour[2][pixel] - int32_t(red_blue >> 16);
+    const int32_t rise = std::max(red, 0) + std::max(green, 0) + std::max(blue, 0);
+    const int32_t fall = rise - red - green - blue;
+    // A saturated value is a lower bound: being brighter than it says nothing.
+    const int32_t exact = int32_t(green_mark >> 16) > 256 * kSaturated ? 0 : -1;
+    return (rise & exact) + (fall & photo.exact[pixel]);
 }
 
 // Adds what one source's colours say to `gain` [kGroup], for the rays from `from` on at plane index `k`.
 template <bool kPlainView>
 LFRIG_INLINE void compare(const FusionSource &s, const Rays &rays, const TargetPlanes &t, const PhotoBlock &photo,
                           const ColourTerm &term, float margin, int k, int from, float *__restrict gain) {
-    const float w = t.w0 + t.dw * float(k), per_grey = 1.0f / term.sigma, per_px = 2.0f / margin;
-    const float offset = s.first + margin, step = s.step;
-    const PlaneIndex index = plane_index(s, t, w);
-    Footprints<kGroup> f;
+    const float w = t.w0 + t.dw * float(k), per_count = 1.0f / (768.0f * term.sigma), per_px = 2.0f / margin;
+    ColourFootprints f;
+    find_colours<kPlainView>(s, rays.x + from, rays.y + from, rays.z + from, w, plane_index(s, t, w), margin, f);
     for (int i = 0; i < kGroup; ++i) {
-        const Place p = place<kPlainView>(s, rays.x[from + i], rays.y[from + i], rays.z[from + i], w, index);
-        const int32_t iu = before(p.u, s.width - 1), iv = before(p.v, s.height - 1);
-        f.at[i] = iv * s.width + iu;
-        f.fu[i] = p.u - float(iu), f.fv[i] = p.v - float(iv);
-        f.bound[i] = p.q * step + offset;
-        f.nearest[i] = int32_t(p.v + 0.5f) * s.width + int32_t(p.u + 0.5f);
-        f.inside[i] = p.inside;
+        const uint8_t *pixel = s.colour + 4 * opaque(f.at[i]);
+        std::memcpy(&f.row[0][2 * i], pixel, 8), std::memcpy(&f.row[1][2 * i], pixel + 4 * size_t(s.width), 8);
     }
-    read_corners(s.colour, 4, size_t(s.width) * 4, 4, f);
-    if (!kPlainView) read_surface(s, f);
+    if (!kPlainView)
+        for (int i = 0; i < kGroup; ++i) f.seen[i] = s.disparity[opaque(f.nearest[i])];
     for (int i = 0; i < kGroup; ++i) {
-        const float cost = std::min(mismatch(photo, from + i, f, i) * per_grey, term.cap);
+        const float cost = std::min(float(mismatch(photo, from + i, f, i)) * per_count, term.cap);
         float said = term.weight * (term.unknown - cost);
         if (!kPlainView) said *= (1.0f - hidden(f.seen[i], f.bound[i], per_px)) * float(f.inside[i]);
         gain[i] += said;

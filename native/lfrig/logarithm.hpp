@@ -5,7 +5,7 @@
 
 namespace lfrig {
 
-// log(x) for finite x > 0, to 1e-7 + 1e-7 |log(x)|: exponent bits and a polynomial on [2/3, 4/3). Zero gives -88.
+// log(x) for finite x > 0, to 3e-6: exponent bits and a polynomial on [2/3, 4/3). Zero gives -88.
 inline float log_of(float x) {
     int32_t bits;
     std::memcpy(&bits, &x, sizeof bits);
@@ -14,13 +14,11 @@ inline float log_of(float x) {
     float mantissa;
     std::memcpy(&mantissa, &bits, sizeof mantissa);
     const float f = mantissa - 1.0f;
-    float p = -0.15918947f;
-    p = p * f + 0.17194714f;
-    p = p * f - 0.16307353f;
-    p = p * f + 0.19784277f;
-    p = p * f - 0.25014350f;
-    p = p * f + 0.33338045f;
-    p = p * f - 0.49999832f;
+    float p = -0.19961216f;
+    p = p * f + 0.22632157f;
+    p = p * f - 0.24761206f;
+    p = p * f + 0.33228390f;
+    p = p * f - 0.50004686f;
     return float(exponent) * 0.69314718f + (p * (f * f) + f);
 }
 

@@ -33,7 +33,7 @@ struct Job {
     bool mean_pool, skip_bricks, skip_sources;
     float per_unit, cost_cap;  // counts per log evidence; counts
     int height, width;
-    const uint8_t *photo;  // [height, width, 4], the last one not 0 where saturated; null: no colours
+    const uint8_t *photo;  // [height, width, 4], as the sources' colours; null: no colours
     uint16_t *cost;        // [height, width, planes]
     float *best;           // [height, width]
 };
@@ -46,27 +46,30 @@ struct Counts {
 struct Workspace {
     Bounds bounds;
     std::vector<float> evidence, mass, constant, constant_mass, ring;
-    std::vector<uint16_t> cost;
+    std::vector<uint32_t> cost;
     std::vector<int32_t> meets;
     std::vector<uint8_t> wanted;
     std::vector<Rays> rays;
-    std::vector<int> lists[kSamplings];
+    std::vector<std::vector<int>> lists;  // [sources][kSamplings]
     explicit Workspace(const Job &job)
         : bounds(job.planes.count), evidence(size_t(job.planes.count) * kRays), constant(job.planes.count),
           constant_mass(job.planes.count), ring(size_t(job.surface.gap) * kRays),
-          cost(size_t(job.planes.count) * kRays), meets(job.sources.size() * job.planes.count),
-          wanted(job.planes.count), rays(job.sources.size()) {
+          cost(size_t(job.planes.count + 1) / 2 * kRays), meets(job.sources.size() * job.planes.count),
+          wanted(job.planes.count), rays(job.sources.size()),
+          lists(job.sources.size() * kSamplings) {
         if (job.mean_pool) mass.resize(evidence.size());
     }
 };
 
-// Least evidence of each ray at which its colours matter, and the groups of rays with such a voxel, as bits.
-LFRIG_CLONES void find_wanted(const float *evidence, int planes, float reach, bool all, float *__restrict limit,
-                              uint8_t *__restrict wanted) {
-    for (int i = 0; i < kRays; ++i) limit[i] = evidence[i];
+// The greatest evidence of each ray.
+LFRIG_CLONES void find_best(const float *evidence, int planes, float *__restrict best) {
+    for (int i = 0; i < kRays; ++i) best[i] = evidence[i];
     for (int k = 1; k < planes; ++k)
-        for (int i = 0; i < kRays; ++i) limit[i] = std::max(limit[i], evidence[size_t(k) * kRays + i]);
-    for (int i = 0; i < kRays; ++i) limit[i] -= reach;
+        for (int i = 0; i < kRays; ++i) best[i] = std::max(best[i], evidence[size_t(k) * kRays + i]);
+}
+
+// The groups of rays with a voxel at which colours matter, as bits.
+LFRIG_CLONES void find_wanted(const float *evidence, int planes, const float *limit, uint8_t *__restrict wanted) {
     for (int k = 0; k < planes; ++k) {
         const float *row = evidence + size_t(k) * kRays;
         int bits = 0;
@@ -75,22 +78,25 @@ LFRIG_CLONES void find_wanted(const float *evidence, int planes, float reach, bo
             for (int i = g * kGroup; i < (g + 1) * kGroup; ++i) above = std::max(above, row[i] - limit[i]);
             bits |= (above >= 0) << g;
         }
-        wanted[k] = uint8_t(all ? (1 << kGroups) - 1 : bits);
+        wanted[k] = uint8_t(bits);
     }
 }
 
 // Planes behind strong nearer evidence pay min(cap, beta * max(0, nearer evidence - level)); nearer planes come last.
-// `ring` [gap][kRays] keeps what planes `gap` nearer have found so far.
-LFRIG_CLONES void hide_behind(float *evidence, int planes, const SurfaceRule &rule, float *ring) {
+// `ring` [gap][kRays] keeps what planes `gap` nearer have found so far. Returns the greatest evidence in `best`.
+LFRIG_CLONES void hide_behind(float *evidence, int planes, const SurfaceRule &rule, float *ring,
+                              float *__restrict best) {
     alignas(64) float worst[kRays] = {};
     const float beta = rule.beta, level = rule.level, cap = rule.cap;
     for (int i = 0; i < rule.gap * kRays; ++i) ring[i] = 0;
+    for (int i = 0; i < kRays; ++i) best[i] = -1e30f;
     for (int k = planes - 1, slot = 0; k >= 0; --k, slot = slot + 1 < rule.gap ? slot + 1 : 0) {
         float *__restrict row = evidence + size_t(k) * kRays, *__restrict held = ring + size_t(slot) * kRays;
         for (int i = 0; i < kRays; ++i) {
-            worst[i] = std::max(worst[i], std::min(cap, beta * (row[i] - level)));
-            row[i] -= held[i];
-            held[i] = worst[i];
+            const float value = row[i] - held[i];
+            held[i] = worst[i] = std::max(worst[i], std::min(cap, beta * (row[i] - level)));
+            row[i] = value;
+            best[i] = std::max(best[i], value);
         }
     }
 }
@@ -102,30 +108,31 @@ LFRIG_CLONES void log_of_means(float *evidence, const float *mass, int planes) {
 
 inline float nearest_whole(float x) { return (x + 12582912.0f) - 12582912.0f; }  // of |x| < 2^22; ties to even
 
-// Counts below each ray's best plane, capped; `best` is the evidence of that plane.
-LFRIG_CLONES void cost_of(const float *evidence, int planes, float per_unit, float cap, uint16_t *__restrict cost,
+// Counts below each ray's best evidence, capped; two planes in a word [(planes + 1) / 2][kRays]. `best` is rounded.
+LFRIG_CLONES void cost_of(const float *evidence, int planes, float per_unit, float cap, uint32_t *__restrict cost,
                           float *__restrict best) {
     alignas(64) float top[kRays];
-    for (int i = 0; i < kRays; ++i) top[i] = evidence[i];
-    for (int k = 1; k < planes; ++k)
-        for (int i = 0; i < kRays; ++i) top[i] = std::max(top[i], evidence[size_t(k) * kRays + i]);
-    for (int i = 0; i < kRays; ++i) top[i] = nearest_whole(top[i] * per_unit), best[i] = top[i] / per_unit;
-    for (int k = 0; k < planes; ++k)
+    for (int i = 0; i < kRays; ++i) top[i] = nearest_whole(best[i] * per_unit), best[i] = top[i] / per_unit;
+    for (int k = 0; k < planes; k += 2) {
+        const float *far = evidence + size_t(k) * kRays, *near = k + 1 < planes ? far + kRays : far;
         for (int i = 0; i < kRays; ++i) {
-            const size_t at = size_t(k) * kRays + i;
-            cost[at] = uint16_t(int32_t(std::min(cap, top[i] - nearest_whole(evidence[at] * per_unit))));
+            const float first = std::min(cap, top[i] - nearest_whole(far[i] * per_unit));
+            const float second = std::min(cap, top[i] - nearest_whole(near[i] * per_unit));
+            cost[size_t(k / 2) * kRays + i] = uint32_t(int32_t(first)) | uint32_t(int32_t(second)) << 16;
         }
+    }
 }
 
-// [planes][kRays] to planes innermost.
-LFRIG_CLONES void write_block(const Job &job, const uint16_t *cost, const float *best, int x0, int y0) {
+// Words of two planes to planes innermost.
+void write_block(const Job &job, const uint32_t *cost, const float *best, int x0, int y0) {
     const int planes = job.planes.count;
     for (int y = y0; y < std::min(y0 + kSide, job.height); ++y)
         for (int x = x0; x < std::min(x0 + kSide, job.width); ++x) {
             const int i = (y - y0) * kSide + x - x0;
             const size_t pixel = size_t(y) * job.width + x;
-            uint16_t *__restrict out = job.cost + pixel * planes;
-            for (int k = 0; k < planes; ++k) out[k] = cost[size_t(k) * kRays + i];
+            uint16_t *out = job.cost + pixel * planes;
+            for (int k = 0; k + 1 < planes; k += 2) std::memcpy(out + k, cost + size_t(k / 2) * kRays + i, 4);
+            if (planes % 2) out[planes - 1] = uint16_t(cost[size_t(planes / 2) * kRays + i]);
             job.best[pixel] = best[i];
         }
 }
@@ -135,8 +142,8 @@ PhotoBlock photo_block(const Job &job, int x0, int y0) {
     for (int i = 0; i < kRays; ++i) {
         const int x = std::min(x0 + i % kSide, job.width - 1), y = std::min(y0 + i / kSide, job.height - 1);
         const uint8_t *pixel = job.photo + 4 * (size_t(y) * job.width + x);
-        for (int c = 0; c < 3; ++c) block.colour[c][i] = pixel[c];
-        block.bounded[i] = pixel[3] ? 0.0f : 1.0f;
+        for (int c = 0; c < 3; ++c) block.colour[c][i] = 256 * pixel[c];
+        block.exact[i] = pixel[3] > kSaturated ? 0 : -1;
     }
     return block;
 }
@@ -152,7 +159,8 @@ float constant_evidence(const Job &job, int32_t meets) {
 void sort_bricks(const Job &job, int n, int pixels, Workspace &work, Counts &counts) {
     const FusionSource &s = job.sources[n];
     int32_t *meets = work.meets.data() + size_t(n) * job.planes.count;
-    for (auto &list : work.lists) list.clear();
+    std::vector<int> *lists = work.lists.data() + size_t(n) * kSamplings;
+    for (int how = 0; how < kSamplings; ++how) lists[how].clear();
     const bool usable = std::min(s.width, s.height) > 1;
     if (usable) {
         bound_bricks(s, work.rays[n], job.planes, work.bounds);
@@ -171,52 +179,66 @@ void sort_bricks(const Job &job, int n, int pixels, Workspace &work, Counts &cou
             counts.inside += outside ? 0 : pixels;
         } else {
             const Sampling rimmed = mass ? kRimmed : kRimmedSurface, whole = meets[k] & kVisible ? kPlain : kStraddling;
-            work.lists[!inside ? rimmed : mass ? whole : kSurfaceOnly].push_back(k);
+            lists[!inside ? rimmed : mass ? whole : kSurfaceOnly].push_back(k);
             ++counts.sampled;
+            counts.inside += inside && !job.mean_pool ? pixels : 0;  // others are counted ray by ray
         }
     }
 }
 
-void fuse_block(const Job &job, int x0, int y0, Workspace &work, Counts &counts) {
-    const int planes = job.planes.count, sources = int(job.sources.size());
+// Evidence of a block's voxels from the light fields alone.
+void pool_block(const Job &job, int x0, int y0, Workspace &work, Counts &counts) {
+    const int planes = job.planes.count;
     const int columns = std::min(kSide, job.width - x0), rows = std::min(kSide, job.height - y0);
     int32_t valid[kRays];
     for (int i = 0; i < kRays; ++i) valid[i] = i % kSide < columns && i / kSide < rows;
     std::fill(work.constant.begin(), work.constant.end(), 0.0f);
     std::fill(work.constant_mass.begin(), work.constant_mass.end(), 0.0f);
-    std::fill(work.evidence.begin(), work.evidence.end(), 0.0f);
-    std::fill(work.mass.begin(), work.mass.end(), 0.0f);
+    for (size_t n = 0; n < job.sources.size(); ++n) {
+        work.rays[n] = make_rays(job.sources[n], x0, y0, job.width, job.height);
+        sort_bricks(job, int(n), rows * columns, work, counts);
+    }
     float *evidence = work.evidence.data();
-    for (int n = 0; n < sources; ++n) {
-        const FusionSource &s = job.sources[n];
-        work.rays[n] = make_rays(s, x0, y0, job.width, job.height);
-        sort_bricks(job, n, rows * columns, work, counts);
+    for (int k = 0; k < planes; ++k) std::fill_n(evidence + size_t(k) * kRays, kRays, work.constant[k]);
+    for (int k = 0; job.mean_pool && k < planes; ++k)
+        std::fill_n(work.mass.data() + size_t(k) * kRays, kRays, work.constant_mass[k]);
+    for (size_t n = 0; n < job.sources.size(); ++n)
         for (int how = 0; how < kSamplings; ++how) {
-            const std::vector<int> &ks = work.lists[how];
+            const std::vector<int> &ks = work.lists[n * kSamplings + how];
             if (ks.empty()) continue;
-            const int32_t seen =
-                job.mean_pool ? add_mean_evidence(s, work.rays[n], job.planes, Sampling(how), ks.data(), int(ks.size()),
-                                                  valid, evidence, work.mass.data())
-                              : add_log_evidence(s, work.rays[n], job.planes, job.pool, Sampling(how), ks.data(),
-                                                 int(ks.size()), valid, evidence);
-            counts.inside += seen;
+            const Rays &rays = work.rays[n];
+            const FusionSource &s = job.sources[n];
+            const int count = int(ks.size());
+            counts.inside += job.mean_pool
+                                 ? add_mean_evidence(s, rays, job.planes, Sampling(how), ks.data(), count, valid,
+                                                     evidence, work.mass.data())
+                                 : add_log_evidence(s, rays, job.planes, job.pool, Sampling(how), ks.data(), count,
+                                                    valid, evidence);
         }
-    }
-    for (int k = 0; k < planes; ++k)
-        for (int i = 0; i < kRays; ++i) evidence[size_t(k) * kRays + i] += work.constant[k];
-    if (job.mean_pool) {
-        for (int k = 0; k < planes; ++k)
-            for (int i = 0; i < kRays; ++i) work.mass[size_t(k) * kRays + i] += work.constant_mass[k];
-        log_of_means(evidence, work.mass.data(), planes);
-    }
+    if (job.mean_pool) log_of_means(evidence, work.mass.data(), planes);
+}
+
+void fuse_block(const Job &job, int x0, int y0, Workspace &work, Counts &counts) {
+    const int planes = job.planes.count;
+    alignas(64) float best[kRays];
+    pool_block(job, x0, y0, work, counts);
+    float *evidence = work.evidence.data();
     if (job.photo) {
         alignas(64) float limit[kRays];
-        find_wanted(evidence, planes, job.colour.reach, !job.skip_bricks, limit, work.wanted.data());
-        add_colours(job.sources.data(), sources, work.rays.data(), job.planes, photo_block(job, x0, y0), job.colour,
-                    job.pool.margin, work.meets.data(), work.wanted.data(), limit, evidence);
+        find_best(evidence, planes, limit);
+        for (float &least : limit) least -= job.colour.reach;
+        if (job.skip_bricks)
+            find_wanted(evidence, planes, limit, work.wanted.data());
+        else
+            std::fill(work.wanted.begin(), work.wanted.end(), uint8_t((1 << kGroups) - 1));
+        add_colours(job.sources.data(), int(job.sources.size()), work.rays.data(), job.planes,
+                    photo_block(job, x0, y0), job.colour, job.pool.margin, work.meets.data(), work.wanted.data(), limit,
+                    evidence);
     }
-    if (job.surface.enabled) hide_behind(evidence, planes, job.surface, work.ring.data());
-    alignas(64) float best[kRays];
+    if (job.surface.enabled)
+        hide_behind(evidence, planes, job.surface, work.ring.data(), best);
+    else
+        find_best(evidence, planes, best);
     cost_of(evidence, planes, job.per_unit, job.cost_cap, work.cost.data(), best);
     write_block(job, work.cost.data(), best, x0, y0);
 }
