@@ -47,11 +47,11 @@ LFRIG_INLINE int32_t nearest_pixel(const Place &p, int32_t width) {
     return int32_t(p.v + 0.5f) * width + int32_t(p.u + 0.5f);
 }
 
-// Keeps an index out of the vectoriser's sight. Reading from anywhere is a loop of its own: such loads do not vectorise,
+// Keeps a load out of the vectoriser's sight. Reading from anywhere is a loop of its own: such loads do not vectorise,
 // and what compilers make of them inside a vectorised loop is slower, hardware gathers included.
 LFRIG_INLINE size_t opaque(int32_t index) {
     size_t at = size_t(index);
-    __asm__("" : "+r"(at));
+    __asm__ volatile("" : "+r"(at) : : "memory");
     return at;
 }
 
@@ -135,7 +135,7 @@ template <bool kKnownInside, bool kMass, bool kVisible>
 LFRIG_INLINE int32_t add_scores(const FusionSource &s, const Rays &rays, const TargetPlanes &t, const Pool &pool,
                                 const int *ks, int count, const int32_t *valid, float *evidence) {
     const float scale = (1.0f - pool.floor_share) * (1.0f / 65535.0f), per_px = 2.0f / pool.margin;
-    const float stretch = std::fabs(t.dw / (s.scale_a * s.step));
+    const float stretch = std::fabs(t.dw * s.per_w);
     const float neutral = pool.neutral, floor_mass = pool.floor_mass, nothing = log_of(floor_mass);
     int32_t inside = 0;
     for (int n = 0; n < count; ++n) {
@@ -204,37 +204,44 @@ struct ColourTerm {
 constexpr int32_t kSaturated = 5;  // /255: share of saturated pixels in the blur up to which a value is a value
 constexpr int kGroup = 16;  // rays that are asked for their colours together
 constexpr int kGroups = kRays / kGroup;
+constexpr int kBatch = 8;   // groups that are read one after the other: values just stored are slow to load again
 
 // A block's pixels: colours, and a mask of ones where they are no lower bounds.
 struct PhotoBlock {
     alignas(64) int32_t colour[3][kRays], exact[kRays];
 };
 
-// Where a group of voxels lies in the source's picture, and what is read there. Weights of the four pixels add up to 256.
+// A voxel group: plane index * kGroups + number of the group in the block.
+using VoxelGroup = int;
+
+// Where groups of voxels lie in the source's picture, and what is read there. Weights of four pixels add up to 256.
 struct ColourFootprints {
-    alignas(64) int32_t at[kGroup], nearest[kGroup], inside[kGroup];
-    alignas(64) uint32_t weight[4][kGroup];
-    alignas(64) float bound[kGroup], seen[kGroup];
-    alignas(64) uint32_t row[2][2 * kGroup];  // two pixels each
+    alignas(64) int32_t at[kBatch * kGroup], nearest[kBatch * kGroup], inside[kBatch * kGroup];
+    alignas(64) uint32_t weight[4][kBatch * kGroup];
+    alignas(64) float bound[kBatch * kGroup], seen[kBatch * kGroup];
+    alignas(64) uint32_t row[2][2 * kBatch * kGroup];  // two pixels each
 };
 
 template <bool kPlainView>
-LFRIG_INLINE void find_colours(const FusionSource &s, const float *x, const float *y, const float *z, float w,
-                               PlaneIndex index, float margin, ColourFootprints &f) {
-    const float offset = s.first + margin, step = s.step;
+LFRIG_INLINE void find_colours(const FusionSource &s, const Rays &rays, const TargetPlanes &t, float margin,
+                               VoxelGroup group, int to, ColourFootprints &f) {
+    const int from = group % kGroups * kGroup;
+    const float w = t.w0 + t.dw * float(group / kGroups), offset = s.first + margin, step = s.step;
+    const PlaneIndex index = plane_index(s, t, w);
+    const float *x = rays.x + from, *y = rays.y + from, *z = rays.z + from;
     const int32_t width = s.width, height = s.height;
     for (int i = 0; i < kGroup; ++i) {
         const Place p = place<kPlainView>(s, x[i], y[i], z[i], w, index);
         const int32_t iu = before<kPlainView>(p.u, width - 1), iv = before<kPlainView>(p.v, height - 1);
         const uint32_t fu = uint32_t(int32_t((p.u - float(iu)) * 256.0f + 0.5f));
         const uint32_t fv = uint32_t(int32_t((p.v - float(iv)) * 256.0f + 0.5f)), both = (fu * fv) >> 8;
-        f.weight[0][i] = 256 - fu - fv + both, f.weight[1][i] = fu - both;
-        f.weight[2][i] = fv - both, f.weight[3][i] = both;
-        f.at[i] = iv * width + iu;
+        f.weight[0][to + i] = 256 - fu - fv + both, f.weight[1][to + i] = fu - both;
+        f.weight[2][to + i] = fv - both, f.weight[3][to + i] = both;
+        f.at[to + i] = iv * width + iu;
         if (!kPlainView) {
-            f.bound[i] = p.q * step + offset;
-            f.nearest[i] = nearest_pixel(p, width);
-            f.inside[i] = p.inside;
+            f.bound[to + i] = p.q * step + offset;
+            f.nearest[to + i] = nearest_pixel(p, width);
+            f.inside[to + i] = p.inside;
         }
     }
 }
@@ -258,48 +265,47 @@ LFRIG_INLINE int32_t mismatch(const PhotoBlock &photo, int pixel, const ColourFo
     return (rise & exact) + (fall & photo.exact[pixel]);
 }
 
-// Adds what one source's colours say to `gain` [kGroup], for the rays from `from` on at plane index `k`.
+// Adds what one source's colours say of `groups` to `evidence` [planes][kRays]; `wanted` has a bit for each voxel.
 template <bool kPlainView>
 LFRIG_INLINE void compare(const FusionSource &s, const Rays &rays, const TargetPlanes &t, const PhotoBlock &photo,
-                          const ColourTerm &term, float margin, int k, int from, float *__restrict gain) {
-    const float w = t.w0 + t.dw * float(k), per_count = 1.0f / (768.0f * term.sigma), per_px = 2.0f / margin;
+                          const ColourTerm &term, float margin, const VoxelGroup *groups, int count,
+                          const uint16_t *wanted, float *evidence) {
+    const float per_count = 1.0f / (768.0f * term.sigma), per_px = 2.0f / margin;
+    const float weight = term.weight, unknown = term.unknown, cap = term.cap;
+    const size_t row = 4 * size_t(s.width);
     ColourFootprints f;
-    find_colours<kPlainView>(s, rays.x + from, rays.y + from, rays.z + from, w, plane_index(s, t, w), margin, f);
-    for (int i = 0; i < kGroup; ++i) {
-        const uint8_t *pixel = s.colour + 4 * opaque(f.at[i]);
-        std::memcpy(&f.row[0][2 * i], pixel, 8), std::memcpy(&f.row[1][2 * i], pixel + 4 * size_t(s.width), 8);
-    }
-    if (!kPlainView)
-        for (int i = 0; i < kGroup; ++i) f.seen[i] = s.disparity[opaque(f.nearest[i])];
-    for (int i = 0; i < kGroup; ++i) {
-        const float cost = std::min(float(mismatch(photo, from + i, f, i)) * per_count, term.cap);
-        float said = term.weight * (term.unknown - cost);
-        if (!kPlainView) said *= (1.0f - hidden(f.seen[i], f.bound[i], per_px)) * float(f.inside[i]);
-        gain[i] += said;
+    for (int done = 0; done < count; done += kBatch) {
+        const int batch = std::min(kBatch, count - done);
+        for (int j = 0; j < batch; ++j)
+            find_colours<kPlainView>(s, rays, t, margin, groups[done + j], j * kGroup, f);
+        for (int i = 0; i < batch * kGroup; ++i) {
+            const uint8_t *pixel = s.colour + 4 * opaque(f.at[i]);
+            std::memcpy(&f.row[0][2 * i], pixel, 8), std::memcpy(&f.row[1][2 * i], pixel + row, 8);
+            if (!kPlainView) f.seen[i] = s.disparity[opaque(f.nearest[i])];
+        }
+        for (int j = 0; j < batch; ++j) {
+            const VoxelGroup group = groups[done + j];
+            const int from = group % kGroups * kGroup;
+            const int32_t bits = wanted[group];
+            float *__restrict voxels = evidence + size_t(group) * kGroup;
+            for (int i = 0; i < kGroup; ++i) {
+                const int at = j * kGroup + i;
+                const float cost = std::min(float(mismatch(photo, from + i, f, at)) * per_count, cap);
+                float said = weight * (unknown - cost);
+                if (!kPlainView) said *= (1.0f - hidden(f.seen[at], f.bound[at], per_px)) * float(f.inside[at]);
+                voxels[i] += bits >> i & 1 ? said : 0.0f;
+            }
+        }
     }
 }
 
-// Adds what the colours say to the voxels of a block that come within `reach` of their ray's best.
-// `meets` [sources][planes]; `wanted` [planes]: a bit for each group that holds such a voxel.
-LFRIG_CLONES inline void add_colours(const FusionSource *sources, int count, const Rays *rays, const TargetPlanes &t,
+// `plain`: groups that are in the frame and visible; `other`: at the rim of the frame or of a surface.
+LFRIG_CLONES inline void add_colours(const FusionSource &s, const Rays &rays, const TargetPlanes &t,
                                      const PhotoBlock &photo, const ColourTerm &term, float margin,
-                                     const int32_t *meets, const uint8_t *wanted, const float *limit, float *evidence) {
-    for (int k = 0; k < t.count; ++k)
-        for (int g = 0; g < kGroups; ++g) {
-            if (!(wanted[k] >> g & 1)) continue;
-            alignas(64) float gain[kGroup] = {};
-            for (int n = 0; n < count; ++n) {
-                const int32_t meeting = meets[n * t.count + k];
-                if (meeting & (kOutside | kHidden)) continue;
-                if ((meeting & kInside) && (meeting & kVisible))
-                    compare<true>(sources[n], rays[n], t, photo, term, margin, k, g * kGroup, gain);
-                else
-                    compare<false>(sources[n], rays[n], t, photo, term, margin, k, g * kGroup, gain);
-            }
-            float *row = evidence + size_t(k) * kRays + g * kGroup;
-            const float *least = limit + g * kGroup;
-            for (int i = 0; i < kGroup; ++i) row[i] += row[i] >= least[i] ? gain[i] : 0.0f;
-        }
+                                     const std::vector<VoxelGroup> &plain, const std::vector<VoxelGroup> &other,
+                                     const uint16_t *wanted, float *evidence) {
+    compare<true>(s, rays, t, photo, term, margin, plain.data(), int(plain.size()), wanted, evidence);
+    compare<false>(s, rays, t, photo, term, margin, other.data(), int(other.size()), wanted, evidence);
 }
 
 }  // namespace lfrig

@@ -28,6 +28,7 @@ struct FusionSource {
     float a[9], b[3];         // p = A (x, y, 1) + b w
     float scale_a, scale_c;   // 1/z = scale_a * delta + scale_c
     float first, step;        // disparity planes
+    float per_w, level;       // plane index = per_w * inverse depth + level
 };
 
 struct TargetPlanes {
@@ -36,14 +37,13 @@ struct TargetPlanes {
     bool literal;  // the target's plane is taken for the source's
 };
 
-// The index of the source's plane is `slope(w) / z + level(w)` where z is the ratio of depths.
+// The index of the source's plane is `slope / z + level` where z is the ratio of depths.
 struct PlaneIndex {
     float slope, level;
 };
 
 LFRIG_INLINE PlaneIndex plane_index(const FusionSource &s, const TargetPlanes &t, float w) {
-    const float slope = w / (s.scale_a * s.step), level = -(s.scale_c / s.scale_a + s.first) / s.step;
-    return t.literal ? PlaneIndex{0, slope + level} : PlaneIndex{slope, level};
+    return t.literal ? PlaneIndex{0, s.per_w * w + s.level} : PlaneIndex{s.per_w * w, s.level};
 }
 
 // A (x, y, 1) for the pixels of a block; beyond the picture's end the last pixel is repeated.
@@ -81,7 +81,7 @@ LFRIG_CLONES inline void bound_bricks(const FusionSource &s, const Rays &rays, c
     float *u0 = bounds.u0.data(), *u1 = bounds.u1.data(), *v0 = bounds.v0.data(), *v1 = bounds.v1.data();
     float *q0 = bounds.q0.data(), *q1 = bounds.q1.data();
     const float b0 = s.b[0], b1 = s.b[1], b2 = s.b[2], w0 = t.w0, dw = t.dw;
-    const float per_w = 1.0f / (s.scale_a * s.step), level = -(s.scale_c / s.scale_a + s.first) / s.step;
+    const float per_w = s.per_w, level = s.level;
     float c[4][3];
     for (int i = 0; i < 4; ++i)
         for (int j = 0; j < 3; ++j) c[i][j] = rays.corner[i][j];

@@ -48,14 +48,15 @@ struct Workspace {
     std::vector<float> evidence, mass, constant, constant_mass, ring;
     std::vector<uint32_t> cost;
     std::vector<int32_t> meets;
-    std::vector<uint8_t> wanted;
+    std::vector<uint16_t> wanted;  // [planes][kGroups]
+    std::vector<VoxelGroup> plain, other;
     std::vector<Rays> rays;
     std::vector<std::vector<int>> lists;  // [sources][kSamplings]
     explicit Workspace(const Job &job)
         : bounds(job.planes.count), evidence(size_t(job.planes.count) * kRays), constant(job.planes.count),
           constant_mass(job.planes.count), ring(size_t(job.surface.gap) * kRays),
-          cost(size_t(job.planes.count + 1) / 2 * kRays), meets(job.sources.size() * job.planes.count),
-          wanted(job.planes.count), rays(job.sources.size()),
+          cost(size_t(job.planes.count + 3) / 4 * 2 * kRays), meets(job.sources.size() * job.planes.count),
+          wanted(size_t(job.planes.count) * kGroups), rays(job.sources.size()),
           lists(job.sources.size() * kSamplings) {
         if (job.mean_pool) mass.resize(evidence.size());
     }
@@ -68,18 +69,16 @@ LFRIG_CLONES void find_best(const float *evidence, int planes, float *__restrict
         for (int i = 0; i < kRays; ++i) best[i] = std::max(best[i], evidence[size_t(k) * kRays + i]);
 }
 
-// The groups of rays with a voxel at which colours matter, as bits.
-LFRIG_CLONES void find_wanted(const float *evidence, int planes, const float *limit, uint8_t *__restrict wanted) {
-    for (int k = 0; k < planes; ++k) {
-        const float *row = evidence + size_t(k) * kRays;
-        int bits = 0;
+// A bit for each voxel whose colours matter, [planes][kGroups].
+LFRIG_CLONES void find_wanted(const float *evidence, int planes, const float *limit, uint16_t *__restrict wanted) {
+    for (int k = 0; k < planes; ++k)
         for (int g = 0; g < kGroups; ++g) {
-            float above = -1;
-            for (int i = g * kGroup; i < (g + 1) * kGroup; ++i) above = std::max(above, row[i] - limit[i]);
-            bits |= (above >= 0) << g;
+            const float *voxels = evidence + size_t(k) * kRays + g * kGroup, *least = limit + g * kGroup;
+            int32_t bits = 0;
+#pragma GCC unroll 1
+            for (int i = 0; i < kGroup; ++i) bits |= voxels[i] >= least[i] ? 1 << i : 0;
+            wanted[k * kGroups + g] = uint16_t(bits);
         }
-        wanted[k] = uint8_t(bits);
-    }
 }
 
 // Planes behind strong nearer evidence pay min(cap, beta * max(0, nearer evidence - level)); nearer planes come last.
@@ -108,22 +107,23 @@ LFRIG_CLONES void log_of_means(float *evidence, const float *mass, int planes) {
 
 inline float nearest_whole(float x) { return (x + 12582912.0f) - 12582912.0f; }  // of |x| < 2^22; ties to even
 
-// Counts below each ray's best evidence, capped; two planes in a word [(planes + 1) / 2][kRays]. `best` is rounded.
+// Counts below each ray's best evidence, capped, [ceil(planes / 4)][kRays][4]. `best` is rounded.
 LFRIG_CLONES void cost_of(const float *evidence, int planes, float per_unit, float cap, uint32_t *__restrict cost,
                           float *__restrict best) {
     alignas(64) float top[kRays];
     for (int i = 0; i < kRays; ++i) top[i] = nearest_whole(best[i] * per_unit), best[i] = top[i] / per_unit;
     for (int k = 0; k < planes; k += 2) {
         const float *far = evidence + size_t(k) * kRays, *near = k + 1 < planes ? far + kRays : far;
+        uint32_t *__restrict words = cost + size_t(k / 4) * 2 * kRays + k / 2 % 2;
         for (int i = 0; i < kRays; ++i) {
             const float first = std::min(cap, top[i] - nearest_whole(far[i] * per_unit));
             const float second = std::min(cap, top[i] - nearest_whole(near[i] * per_unit));
-            cost[size_t(k / 2) * kRays + i] = uint32_t(int32_t(first)) | uint32_t(int32_t(second)) << 16;
+            words[2 * i] = uint32_t(int32_t(first)) | uint32_t(int32_t(second)) << 16;
         }
     }
 }
 
-// Words of two planes to planes innermost.
+// Four planes at a time to planes innermost.
 void write_block(const Job &job, const uint32_t *cost, const float *best, int x0, int y0) {
     const int planes = job.planes.count;
     for (int y = y0; y < std::min(y0 + kSide, job.height); ++y)
@@ -131,8 +131,9 @@ void write_block(const Job &job, const uint32_t *cost, const float *best, int x0
             const int i = (y - y0) * kSide + x - x0;
             const size_t pixel = size_t(y) * job.width + x;
             uint16_t *out = job.cost + pixel * planes;
-            for (int k = 0; k + 1 < planes; k += 2) std::memcpy(out + k, cost + size_t(k / 2) * kRays + i, 4);
-            if (planes % 2) out[planes - 1] = uint16_t(cost[size_t(planes / 2) * kRays + i]);
+            const uint32_t *from = cost + 2 * i;
+            for (int k = 0; k + 4 <= planes; k += 4, from += 2 * kRays) std::memcpy(out + k, from, 8);
+            std::memcpy(out + planes / 4 * 4, from, size_t(planes % 4) * sizeof(uint16_t));
             job.best[pixel] = best[i];
         }
 }
@@ -218,23 +219,34 @@ void pool_block(const Job &job, int x0, int y0, Workspace &work, Counts &counts)
     if (job.mean_pool) log_of_means(evidence, work.mass.data(), planes);
 }
 
+// Adds what the sources' colours say of the voxels that the light fields leave in play.
+void ask_colours(const Job &job, int x0, int y0, Workspace &work) {
+    const int planes = job.planes.count;
+    float *evidence = work.evidence.data();
+    alignas(64) float limit[kRays];
+    find_best(evidence, planes, limit);
+    for (float &least : limit) least -= job.colour.reach;
+    find_wanted(evidence, planes, limit, work.wanted.data());
+    const PhotoBlock photo = photo_block(job, x0, y0);
+    for (size_t n = 0; n < job.sources.size(); ++n) {
+        const int32_t *meets = work.meets.data() + n * planes;
+        work.plain.clear(), work.other.clear();
+        for (VoxelGroup group = 0; group < planes * kGroups; ++group) {
+            const int32_t meeting = meets[group / kGroups];
+            if ((job.skip_bricks && !work.wanted[group]) || (meeting & (kOutside | kHidden))) continue;
+            (((meeting & kInside) && (meeting & kVisible)) ? work.plain : work.other).push_back(group);
+        }
+        add_colours(job.sources[n], work.rays[n], job.planes, photo, job.colour, job.pool.margin, work.plain, work.other,
+                    work.wanted.data(), evidence);
+    }
+}
+
 void fuse_block(const Job &job, int x0, int y0, Workspace &work, Counts &counts) {
     const int planes = job.planes.count;
     alignas(64) float best[kRays];
     pool_block(job, x0, y0, work, counts);
     float *evidence = work.evidence.data();
-    if (job.photo) {
-        alignas(64) float limit[kRays];
-        find_best(evidence, planes, limit);
-        for (float &least : limit) least -= job.colour.reach;
-        if (job.skip_bricks)
-            find_wanted(evidence, planes, limit, work.wanted.data());
-        else
-            std::fill(work.wanted.begin(), work.wanted.end(), uint8_t((1 << kGroups) - 1));
-        add_colours(job.sources.data(), int(job.sources.size()), work.rays.data(), job.planes,
-                    photo_block(job, x0, y0), job.colour, job.pool.margin, work.meets.data(), work.wanted.data(), limit,
-                    evidence);
-    }
+    if (job.photo) ask_colours(job, x0, y0, work);
     if (job.surface.enabled)
         hide_behind(evidence, planes, job.surface, work.ring.data(), best);
     else
@@ -285,6 +297,7 @@ FusionSource make_source(const U3 &probability, const F2 &disparity, const U1x3 
     std::memcpy(s.a, numbers, 9 * sizeof(float));
     std::memcpy(s.b, numbers + 9, 3 * sizeof(float));
     s.scale_a = numbers[12], s.scale_c = numbers[13], s.first = numbers[14], s.step = numbers[15];
+    s.per_w = 1.0f / (s.scale_a * s.step), s.level = -(s.scale_c / s.scale_a + s.first) / s.step;
     return s;
 }
 
