@@ -55,19 +55,17 @@ def regularise(
     """
     w0, dw = volume.planes
     if settings.method == "none":
-        index, peak = _regress(volume.evidence, volume.is_log, settings)
+        index, peak = _regress(volume.evidence, settings)
         return np.asarray(w0 + dw * index, np.float32), peak
-    evidence = volume.evidence if volume.is_log else np.log(np.maximum(volume.evidence, np.float32(1e-6)))
-    cost = evidence.max(2, keepdims=True) - evidence
-    np.minimum(cost, np.float32(settings.cap), out=cost)
+    cost = np.minimum(volume.cost * np.float32(volume.unit), np.float32(settings.cap))
     total = aggregate(cost, photo, settings.p1, settings.p2, settings.edge_grey, threads=threads, monitor=monitor)
     del cost
     total *= np.float32(-settings.sharpness)
-    index, peak = _regress(total, True, settings)
+    index, peak = _regress(total, settings)
     return np.asarray(w0 + dw * index, np.float32), peak
 
 
-def _regress(evidence: F32, is_log: bool, settings: RegulariseSettings) -> tuple[F32, F32]:
+def _regress(evidence: F32, settings: RegulariseSettings) -> tuple[F32, F32]:
     """Mean plane index and peak mass, float32 [H, W] each; rows in blocks to bound memory.
 
     The window lies around the peak between planes and fades at its ends: where two planes are equally good, rounding
@@ -79,9 +77,9 @@ def _regress(evidence: F32, is_log: bool, settings: RegulariseSettings) -> tuple
     rows = max(1, 2_000_000 // (width * planes))
     for y in range(0, height, rows):
         block = evidence[y : y + rows]
-        p = np.exp(block - block.max(2, keepdims=True)) if is_log else block.copy()
+        p = np.exp(block - block.max(2, keepdims=True))
         p /= np.maximum(p.sum(2, keepdims=True), np.float32(1e-20))
-        away = np.abs(labels - _peak(block, is_log)[..., None])
+        away = np.abs(labels - _peak(block)[..., None])
         near = np.clip(np.float32(settings.window + 0.5) - away, 0, 1)
         peak[y : y + rows] = (p * near).sum(2)
         if settings.regression == "window":
@@ -90,12 +88,13 @@ def _regress(evidence: F32, is_log: bool, settings: RegulariseSettings) -> tuple
     return index, peak
 
 
-def _peak(evidence: F32, is_log: bool) -> F32:
+def _peak(evidence: F32) -> F32:
     """Where a parabola through the logarithms of the best plane and its neighbours has its top, float32 [H, W]."""
     last = evidence.shape[2] - 1
     best = evidence.argmax(2)
-    three = [np.take_along_axis(evidence, np.clip(best + d, 0, last)[..., None], 2)[..., 0] for d in (-1, 0, 1)]
-    before, at, after = three if is_log else (np.log(np.maximum(part, np.float32(1e-20))) for part in three)
+    before, at, after = (
+        np.take_along_axis(evidence, np.clip(best + d, 0, last)[..., None], 2)[..., 0] for d in (-1, 0, 1)
+    )
     bend = 2 * at - before - after
     inner = (best > 0) & (best < last) & (bend > 0)
     offset = np.where(inner, 0.5 * (after - before) / np.where(inner, bend, 1), 0)

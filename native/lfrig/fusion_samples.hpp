@@ -63,7 +63,7 @@ struct Footprints {
     alignas(64) float fu[kRays], fv[kRays], fq[kRays];  // shares of the later pixel, row and plane
     alignas(64) float factor[kRays];     // from values between the voxels to probability; 0 beyond the planes
     alignas(64) float bound[kRays];      // the surface hides the voxel from this disparity on
-    alignas(64) uint32_t corner[4][kRays];  // two planes each, of pixels a, b, and c, d in the next row
+    alignas(64) uint32_t corners[kRays][4];  // two planes each, of pixels a, b, and c, d in the next row
     alignas(64) float seen[kRays];       // disparity of the surface
 };
 
@@ -100,8 +100,9 @@ LFRIG_INLINE void read_volume(const FusionSource &s, Footprints &f) {
     const size_t pixel = size_t(s.planes), row = size_t(s.width) * pixel;
     for (int i = 0; i < kRays; ++i) {
         const uint16_t *from = s.probability + opaque(f.at[i]);
-        std::memcpy(&f.corner[0][i], from, 4), std::memcpy(&f.corner[1][i], from + pixel, 4);
-        std::memcpy(&f.corner[2][i], from + row, 4), std::memcpy(&f.corner[3][i], from + row + pixel, 4);
+        uint32_t *to = f.corners[i];
+        std::memcpy(to, from, 4), std::memcpy(to + 1, from + pixel, 4);
+        std::memcpy(to + 2, from + row, 4), std::memcpy(to + 3, from + row + pixel, 4);
     }
 }
 
@@ -113,8 +114,9 @@ LFRIG_INLINE float along_planes(uint32_t both, float share) {
 
 // Trilinear value in the volume, 0..65535.
 LFRIG_INLINE float value_at(const Footprints &f, int i) {
-    const float a = along_planes(f.corner[0][i], f.fq[i]), b = along_planes(f.corner[1][i], f.fq[i]);
-    const float c = along_planes(f.corner[2][i], f.fq[i]), d = along_planes(f.corner[3][i], f.fq[i]);
+    const uint32_t *corner = f.corners[i];
+    const float a = along_planes(corner[0], f.fq[i]), b = along_planes(corner[1], f.fq[i]);
+    const float c = along_planes(corner[2], f.fq[i]), d = along_planes(corner[3], f.fq[i]);
     const float top = a + f.fu[i] * (b - a), low = c + f.fu[i] * (d - c);
     return top + f.fv[i] * (low - top);
 }

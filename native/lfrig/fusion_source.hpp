@@ -21,7 +21,7 @@ constexpr float kNearest = 1e-6f;    // ratio of depths: nearer points count as 
 struct FusionSource {
     const uint16_t *probability;  // [height, width, planes]
     const float *disparity;       // [height, width]
-    const uint8_t *colour;        // [height, width, 4] in the photo's tone, the last one not 0 where saturated; or null
+    const uint8_t *colour;        // [height, width, 4] in the photo's tone, the last one the share of saturated; or null
     const int32_t *sums;          // occupancy.py: `sums`, `least`, `greatest`
     const float *least, *greatest;
     int height, width, planes, tile_rows, tile_columns;

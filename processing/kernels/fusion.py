@@ -1,8 +1,9 @@
 """Fusion of the sources' evidence in the target's frustum into a cost volume, in one pass.
 
 Target planes are uniform in inverse depth: ``w_k = w0 + dw·k``, nearer last. A target voxel (x, y, k) lies in a source
-at ``p = A (x, y, 1) + b w_k``, pixel ``(p0/p2, p1/p2)``, inverse depth ``w_k / p2``, disparity ``δ = (w_k/p2 − c) / a``:
-one projective map. Per voxel and source, with the probability p there (trilinear) and ε the floor share:
+at ``p = A (x, y, 1) + b w_k``, pixel ``(p0/p2, p1/p2)``, inverse depth ``w_k / p2``, disparity
+``δ = (w_k/p2 − c) / a``: one projective map. Per voxel and source, with the probability p there (trilinear) and ε the
+floor share:
 
 - evidence: ``log((1 − ε) p·stretch + ε/N)``; towards neutral (``log 1/N``) where the source's own surface hides the
   voxel; neutral outside its frame. ``stretch`` is the source's planes per target plane.
@@ -36,7 +37,8 @@ U16 = NDArray[np.uint16]
 @dataclass(frozen=True)
 class SourceVolume:
     """One source: its evidence and scale, the `geometry.projection` from target to source, the tables of its volume,
-    and its centre view, uint8 [Hs, Ws, 4]: blurred as the photo, in the photo's tone, and not 0 where saturated.
+    and its centre view, uint8 [Hs, Ws, 4]: blurred as the photo, in the photo's tone, and the share of saturated pixels
+    in the blur (/255).
     """
 
     evidence: Evidence
@@ -114,7 +116,7 @@ def fuse_volume(
     photo: U8 | None = None,
     colour: ColourTerm | None = None,
     surface: SurfaceRule | None = None,
-    scale: CostScale = CostScale(),  # noqa: B008 (frozen)
+    scale: CostScale = CostScale(),
     skip_bricks: bool = True,
     skip_sources: bool = True,
     threads: int = 0,
@@ -124,7 +126,8 @@ def fuse_volume(
     Parameters
     ----------
     photo : uint8 [H, W, 4], optional
-        What the target shows, blurred, and not 0 where saturated; with ``colour`` it is compared with the sources.
+        What the target shows, blurred, and the share of saturated pixels (`tone.marked`); with ``colour`` it is
+        compared with the sources.
     skip_bricks, skip_sources : bool
         Leave out bricks that no mass can reach, and sources where they do not see the brick.
     """

@@ -15,6 +15,8 @@ I64 = NDArray[np.int64]
 RIM_PX = np.float32(1e-3)
 """A ray that meets the frame's rim to within rounding is inside, whichever way the rounding went."""
 LEAST_MASS = np.float32(1.2e-38)
+SATURATED = 5
+"""Share of saturated pixels in the blur (/255) from which on a value is a lower bound only."""
 
 
 def fuse_numpy(
@@ -167,14 +169,19 @@ def _trilinear(volume: NDArray[np.uint16], at: _Places) -> F32:
 
 
 def _mismatch(photo: U8, image: U8, at: _Places) -> F32:
-    """Mean difference of colours [M, 4]; saturated values are lower bounds: being brighter says nothing."""
+    """Mean difference of colours [M, 4] in grey levels; saturated values are lower bounds: being brighter says nothing.
+
+    Bilinear with weights in 256ths, as the native form.
+    """
     iv, iu, fv, fu = _corners(at, image.shape)
-    a, b, c, d = (image[iv + y, iu + x].astype(np.float32) for y in (0, 1) for x in (0, 1))
-    top, low = a + fu[:, None] * (b - a), c + fu[:, None] * (d - c)
-    under = ~((a + b + c + d)[:, 3:] > 0)
-    over = photo[:, 3:] == 0
-    rise = photo[:, :3].astype(np.float32) - (top + fv[:, None] * (low - top))[:, :3]
-    return np.asarray(np.where(rise > 0, under * rise, over * -rise).mean(1), np.float32)
+    across, down = ((f * np.float32(256) + np.float32(0.5)).astype(np.int64)[:, None] for f in (fu, fv))
+    both = (across * down) >> 8
+    a, b, c, d = (image[iv + y, iu + x].astype(np.int64) for y in (0, 1) for x in (0, 1))
+    found = a * (256 - across - down + both) + b * (across - both) + c * (down - both) + d * both
+    rise = 256 * photo[:, :3].astype(np.int64) - found[:, :3]
+    under, over = found[:, 3:] <= 256 * SATURATED, photo[:, 3:] <= SATURATED
+    total = (np.maximum(rise, 0) * under + np.maximum(-rise, 0) * over).sum(1)
+    return np.asarray(total.astype(np.float32) / np.float32(768), np.float32)
 
 
 def hide_behind(evidence: F32, neutral: float, rule: SurfaceRule) -> None:

@@ -225,7 +225,7 @@ def test_fusion_does_not_care_where_the_world_is(angle: float, shift: tuple[floa
         return Pose(r, scale * (pose.translation - r @ move))
 
     there = [replace(s, pose=moved(s.pose), scale=ScaleFit(s.scale.a / scale, s.scale.c / scale)) for s in sources()]
-    knobs = FusionSettings(planes=32)
+    knobs = FusionSettings(planes=32, cost_unit=1 / 2048)  # finer than the tolerance below
     camera, plain = scenes.CAMERA, RegulariseSettings(method="none")
     here, moved_away = (
         regularise(fuse(found, camera, pose, limits, knobs), photo.image8, plain)[0]
@@ -304,7 +304,7 @@ def test_two_planes_equally_good_give_what_lies_between_them() -> None:
     found = []
     for favoured in (9, 10):
         evidence = np.tile(lobe, (2, 2, 1))
-        evidence[..., favoured] += np.float32(1e-6)
-        volume = FusedVolume(np.ascontiguousarray(evidence), (0.0, 1.0), True, 0, 0)
+        evidence[..., favoured] += np.float32(2e-5)  # one count
+        volume = FusedVolume.of_evidence(np.ascontiguousarray(evidence), (0.0, 1.0), unit=2e-5)
         found.append(regularise(volume, np.zeros((2, 2, 3), np.uint8), RegulariseSettings(method="none"))[0])
     assert np.abs(found[0] - found[1]).max() < 1e-4

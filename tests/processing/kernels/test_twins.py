@@ -7,8 +7,7 @@ from importlib.util import find_spec
 import numpy as np
 import pytest
 
-from lfrig.processing.kernels import fusion, plane_cost, sgm, spline, warp
-from lfrig.processing.model import Evidence, ScaleFit
+from lfrig.processing.kernels import plane_cost, sgm, spline, warp
 from tests.processing.kernels.twins import both
 
 pytestmark = pytest.mark.skipif(
@@ -124,49 +123,3 @@ def test_sgm_smooths_a_lone_outlier_but_keeps_a_step() -> None:
     best = sgm.aggregate(cost, guide, 0.5, 6.0, 10.0).argmin(2)
     assert best[7, 4] == 2
     assert (best[:, :10] == 2).all() and (best[:, 10:] == 6).all()
-
-
-def random_evidence(rng: np.random.Generator, height: int, width: int, planes: int) -> Evidence:
-    p = rng.dirichlet(np.ones(planes), (height, width))
-    probability = (p * 65535).astype(np.uint16)
-    disparity = (-0.5 + 1.0 / (planes - 1) * p.argmax(2)).astype(np.float32)
-    return Evidence(probability, (-0.5, 1.0 / (planes - 1)), disparity, p.max(2).astype(np.float32))
-
-
-@pytest.mark.parametrize("log_pool", [True, False])
-@pytest.mark.parametrize("literal", [True, False])
-def test_fusion(monkeypatch, log_pool, literal) -> None:
-    rng = np.random.default_rng(7)
-    evidence = random_evidence(rng, 19, 23, 11)
-    angle = 0.1
-    matrix = np.array([[1, 0.02, -3], [0.01, 1.1, 1], [angle / 200, 0, 0.95]])
-    offset = np.array([2.0, -1.0, 0.03])
-    pool = fusion.Pool(log_pool=log_pool, literal=literal)
-
-    def call():  # type: ignore[no-untyped-def]
-        volume, mass = np.zeros((15, 27, 9), np.float32), np.zeros((15, 27, 9), np.float32)
-        fit = ScaleFit(1.4, 2.0)
-        inside = fusion.add_evidence(volume, mass, evidence, fit, matrix, offset, (1.4, 0.15), pool)
-        return np.concatenate([volume, mass, np.full((15, 27, 1), inside, np.float32)], 2)
-
-    native, twin = both(monkeypatch, call)
-    assert native[0, 0, -1] > 1000, "the test geometry must overlap"
-    # float32 rounding may put a voxel on the other side of the frame's edge or of a nearest-pixel tie
-    different = np.abs(native - twin) > 1e-3
-    different[..., -1] = False
-    assert different.mean() < 2e-3
-
-
-def test_first_surface(monkeypatch) -> None:
-    rng = np.random.default_rng(8)
-    start = rng.normal(-9, 3, (6, 7, 40)).astype(np.float32)
-
-    def call():  # type: ignore[no-untyped-def]
-        volume = start.copy()
-        fusion.first_surface(volume, -9.0, 6, 2.0, 4.0, 10.0)
-        return volume
-
-    native, twin = both(monkeypatch, call)
-    np.testing.assert_allclose(native, twin, atol=1e-5)
-    assert (native <= start).all() and (native < start).any()
-    assert np.array_equal(native[..., -6:], start[..., -6:]), "the nearest planes have nothing in front"

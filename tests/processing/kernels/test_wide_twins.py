@@ -7,8 +7,7 @@ from importlib.util import find_spec
 import numpy as np
 import pytest
 
-from lfrig.processing.kernels import band_cost, colour_evidence, sgm
-from lfrig.processing.model import ScaleFit
+from lfrig.processing.kernels import band_cost, sgm
 from tests.processing.kernels.twins import both
 
 pytestmark = pytest.mark.skipif(
@@ -72,42 +71,6 @@ def test_the_right_label_costs_least() -> None:
     )  # fmt: skip
     inner = cost[6:-6, 6:-6]
     assert (inner.argmin(2) == 9 // 2 + 2).all() and inner.min(2).max() < 0.05
-
-
-@pytest.mark.parametrize("shape", [(1, 1), (7, 5), (12, 33)])
-@pytest.mark.parametrize("planes", [1, 11])
-def test_colour_evidence(monkeypatch, shape, planes) -> None:
-    rng = np.random.default_rng(7)
-    photo = np.dstack([rng.uniform(0, 255, (*shape, 3)), rng.choice([0, 0.5], shape)]).astype(np.float32)
-    size = (shape[0] + 3, shape[1] + 2)
-    image = np.dstack([rng.uniform(0, 255, (*size, 3)), rng.choice([0, 0.5], size)]).astype(np.float32)
-    disparity = rng.normal(0, 0.5, size).astype(np.float32)
-    disparity.flat[0] = np.nan
-    term = colour_evidence.ColourTerm(1.5, 10.0, 3.0, 1.0, 0.06)
-
-    def call():  # type: ignore[no-untyped-def]
-        volume = np.zeros((*shape, planes), np.float32)
-        scale = ScaleFit(0.7, 1.0)
-        colour_evidence.add_colour_evidence(volume, photo, image, disparity, scale, (MATRIX, OFFSET), (0.4, 0.13), term)
-        return volume
-
-    native, twin = both(monkeypatch, call)
-    np.testing.assert_allclose(native, twin, atol=5e-3)
-
-
-def test_a_saturated_source_does_not_contradict_a_brighter_photo() -> None:
-    def charged(photo_grey: float, source_grey: float, source_saturated: bool) -> float:
-        volume = np.zeros((4, 4, 1), np.float32)
-        photo = np.dstack([np.full((4, 4, 3), photo_grey), np.zeros((4, 4))]).astype(np.float32)
-        image = np.dstack([np.full((8, 8, 3), source_grey), np.full((8, 8), float(source_saturated))])
-        colour_evidence.add_colour_evidence(
-            volume, photo, image.astype(np.float32), np.full((8, 8), -9, np.float32), ScaleFit(1.0, 0.0),
-            (np.eye(3), np.zeros(3)), (1.0, 0.1), colour_evidence.ColourTerm(1.0, 10.0, 3.0, 1.0, 0.06),
-        )  # fmt: skip
-        return float(volume[1, 1, 0])
-
-    assert charged(240, 200, False) == pytest.approx(-2) and charged(240, 200, True) == pytest.approx(1)
-    assert charged(150, 200, True) == pytest.approx(-2), "darker than a lower bound is a contradiction"
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (2, 9), (11, 14)])
