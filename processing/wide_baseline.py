@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from lfrig.contracts.progress import Monitor
 from lfrig.processing.geometry import projection
-from lfrig.processing.kernels.band_cost import Patch, band_cost
+from lfrig.processing.kernels.band_cost import UNIT, Patch, View, band_cost
 from lfrig.processing.kernels.sgm import I16, aggregate
 from lfrig.processing.model import F32, U8, Camera, Pose, Source
 from lfrig.processing.plane_fit import Planes
@@ -99,6 +99,7 @@ def refine_wide(
     visible = [land(surface.value, s, camera, pose).visible(settings.margin_px) for s in sources]
     seen = np.asarray(np.sum(visible, axis=0), np.float32)
     cost = _cost(surface, visible, seen, sources, camera, pose, photo, step, settings, threads)
+    cost = cost.astype(np.float32) / UNIT
     total = aggregate(
         cost, photo, settings.p1, settings.p2, settings.edge_grey, shift=label_shifts(surface, step),
         threads=threads, monitor=monitor,
@@ -125,22 +126,18 @@ def _cost(
     threads: int,
 ) -> F32:
     """Mean over the sources that see a pixel, float32 [H, W, K]; the cap where none does."""
-    grey = luma(photo)
-    total = np.zeros((*grey.shape, settings.labels), np.float32)
-    for source, weight in zip(sources, visible, strict=True):
-        noise = settings.noise_floor + LUMA_NOISE * source.evidence.noise_sigma**2
-        patch = Patch(settings.radius, settings.stride, settings.sigma_grey, noise, settings.cap)
-        part = band_cost(
-            grey, photo, luma(source.light_field.centre_view), weight,
-            (surface.value, surface.slope_x, surface.slope_y), projection(camera, pose, source.camera, source.pose),
-            step, settings.labels, patch, threads=threads,
-        )  # fmt: skip
-        part *= weight[..., None]
-        total += part
-    none = seen <= 0.01
-    total /= np.maximum(seen, np.float32(0.01))[..., None]
-    total[none] = settings.cap
-    return np.asarray(total, np.float32)
+    views = [
+        View(
+            luma(source.light_field.centre_view), weight, projection(camera, pose, source.camera, source.pose),
+            settings.noise_floor + LUMA_NOISE * source.evidence.noise_sigma**2,
+        )
+        for source, weight in zip(sources, visible, strict=True)
+    ]  # fmt: skip
+    patch = Patch(settings.radius, settings.stride, settings.sigma_grey, settings.cap)
+    return band_cost(
+        luma(photo), photo, views, (surface.value, surface.slope_x, surface.slope_y), step, settings.labels, patch,
+        threads=threads,
+    )  # fmt: skip
 
 
 def pixels_per_inverse_depth(inverse_depth: F32, sources: Sequence[Source], camera: Camera, pose: Pose) -> float:
