@@ -117,11 +117,11 @@ LFRIG_CLONES void correlate(const Tap *taps, const Match &m, float *__restrict t
     for (int k = 0; k < m.labels; ++k) {
         const float z = m.start[2] + float(k) * m.move[2];
         const float u = (m.start[0] + float(k) * m.move[0]) / z, v = (m.start[1] + float(k) * m.move[1]) / z;
-        const bool inside = z > 1e-6f && u >= 0.0f && v >= 0.0f && u <= m.right && v <= m.bottom;
+        const int inside = (z > 1e-6f) & (u >= 0.0f) & (v >= 0.0f) & (u <= m.right) & (v <= m.bottom);
         const float mean = first[k] * inverse, square = second[k] * inverse - mean * mean;
         const float other = (square > 0.0f ? square : 0.0f) + m.noise;
         const float cost = 1.0f - cross[k] * inverse / std::sqrt(other * m.own);
-        total[k] += m.weight * (inside && cost < m.cap ? cost : m.cap);
+        total[k] += m.weight * (inside & (cost < m.cap) ? cost : m.cap);
     }
 }
 
@@ -170,13 +170,17 @@ void match_run(const Band &s, const View &v, size_t source, int y, int x, int wi
     }
 }
 
+LFRIG_CLONES void pack(const float *__restrict total, float scale, float offset, int labels, uint16_t *__restrict out) {
+    for (int k = 0; k < labels; ++k) out[k] = uint16_t(int(total[k] * scale + offset));
+}
+
 // The mean over the sources that see a pixel, as fixed point; the cap where none does.
 void store(const Band &s, const std::vector<View> &views, size_t p, const float *total, uint16_t *out) {
     float seen = 0;
     for (const View &v : views) seen += v.visible[p] > s.least ? v.visible[p] : 0.0f;
     const bool any = seen > 0.0f;
     const float scale = any ? s.unit / seen : 0.0f, offset = any ? 0.5f : s.cap * s.unit + 0.5f;
-    for (int k = 0; k < s.labels; ++k) out[k] = uint16_t(int(total[k] * scale + offset));
+    pack(total, scale, offset, s.labels, out);
 }
 
 void match_tile(const Band &s, const std::vector<View> &views, int x0, int y0, int taps, uint16_t *out) {
