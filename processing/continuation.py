@@ -18,13 +18,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lfrig.processing.geometry import projection
 from lfrig.processing.kernels.plane_fit import local_planes
+from lfrig.processing.kernels.spread import Seeds, spread
 from lfrig.processing.match_doubt import excess_cost, layer_mean, local_variance
 from lfrig.processing.model import F32, U8, Camera, Pose, Source
 from lfrig.processing.plane_fit import Planes
 from lfrig.processing.sources import usual_noise
-from lfrig.processing.visibility import Landing, Mask, contradiction, count_agreeing, land, place
+from lfrig.processing.visibility import Landing, Mask, count_agreeing, half_contradicted, land, way_into
 from lfrig.processing.wide_baseline import WideMatch
 
 WIDTH = 540
@@ -95,24 +95,6 @@ class _Areas:
     trusted: Mask
 
 
-@dataclass(frozen=True)
-class _Seeds:
-    """Planes of M pixels (``x``, ``y``): ``value``, ``slope_x``, ``slope_y`` float32 [M]."""
-
-    x: np.ndarray
-    y: np.ndarray
-    value: F32
-    slope_x: F32
-    slope_y: F32
-
-    def at(self, seed: np.ndarray, x: np.ndarray, y: np.ndarray, reach: float) -> F32:
-        """Values of the planes number ``seed`` at (x, y); slopes are followed up to ``reach`` px."""
-        dx, dy = (x - self.x[seed]).astype(np.float32), (y - self.y[seed]).astype(np.float32)
-        rise = self.slope_x[seed] * dx + self.slope_y[seed] * dy
-        rise *= np.minimum(1, np.float32(reach) / np.maximum(np.hypot(dx, dy), 1))
-        return np.asarray(self.value[seed] + rise, np.float32)
-
-
 def continue_hidden(
     match: WideMatch,
     planes: Planes,
@@ -151,7 +133,10 @@ def continue_hidden(
     crossed = _grown(areas.mistaken, settings.clearance) & (areas.mistaken | areas.trusted)
     trusted = areas.trusted & ~crossed
     seeds = _fit_seeds(surface, planes, trusted, _grown(crossed, settings.seeds), photo, px_per_inverse, settings)
-    seed = _spread(seeds, crossed, sources, camera, pose, photo, settings)
+    seed = spread(
+        seeds, crossed, photo, [way_into(source, camera, pose) for source in sources], step_grey=settings.step_grey,
+        reach=settings.slope_reach, most_ahead=half_contradicted(settings.contradiction_px), longest=settings.longest,
+    )  # fmt: skip
     ys, xs = np.nonzero(areas.mistaken & (seed >= 0))
     out = surface.copy()
     out[ys, xs] = seeds.at(seed[ys, xs], xs, ys, settings.slope_reach)
@@ -201,7 +186,7 @@ def _fit_seeds(
     photo: U8,
     px_per_inverse: float,
     settings: ContinuationSettings,
-) -> _Seeds:
+) -> Seeds:
     """Planes through the trusted pixels of ``near``, from trusted pixels alone."""
     at = trusted & near
     value, slope_x, slope_y, support = local_planes(
@@ -211,71 +196,7 @@ def _fit_seeds(
     )  # fmt: skip
     ys, xs = np.nonzero(at)
     good = support > settings.least_support
-    return _Seeds(xs[good], ys[good], value[good], slope_x[good], slope_y[good])
-
-
-NEIGHBOURS = ((0, 1), (1, 0), (0, -1), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1))
-
-
-def _spread(
-    seeds: _Seeds,
-    domain: Mask,
-    sources: Sequence[Source],
-    camera: Camera,
-    pose: Pose,
-    photo: U8,
-    settings: ContinuationSettings,
-) -> np.ndarray:
-    """Number of the seed that each pixel of the domain takes over, int32 [H, W]; −1 = none.
-
-    Shortest paths from all seeds at once (Bellman–Ford over the pixels that changed last); a path ends where its
-    plane floats before what a source sees.
-    """
-    height, width = domain.shape
-    colour = photo.astype(np.float32)
-    seed = np.full(domain.shape, -1, np.int32)
-    length = np.full(domain.shape, np.inf, np.float32)
-    seed[seeds.y, seeds.x] = np.arange(len(seeds.x))
-    length[seeds.y, seeds.x] = 0
-    ways = [projection(camera, pose, source.camera, source.pose) for source in sources]
-    ys, xs = seeds.y, seeds.x
-    for _ in range(settings.longest):
-        changed = np.zeros_like(domain)
-        for dy, dx in NEIGHBOURS:
-            y, x = ys + dy, xs + dx
-            inside = (y >= 0) & (y < height) & (x >= 0) & (x < width)
-            inside[inside] = domain[y[inside], x[inside]]
-            y, x, y0, x0 = y[inside], x[inside], ys[inside], xs[inside]
-            rough = np.abs(colour[y, x] - colour[y0, x0]).sum(1) / np.float32(settings.step_grey)
-            proposed = length[y0, x0] + np.float32(np.hypot(dy, dx)) * (1 + rough)
-            better = proposed < length[y, x] - np.float32(1e-4)
-            y, x, proposed, source_seed = y[better], x[better], proposed[better], seed[y0, x0][better]
-            value = seeds.at(source_seed, x, y, settings.slope_reach)
-            free = ~_floats(value, x, y, sources, ways, settings.contradiction_px)
-            y, x = y[free], x[free]
-            length[y, x], seed[y, x], changed[y, x] = proposed[free], source_seed[free], True
-        ys, xs = np.nonzero(changed)
-        if not len(ys):
-            break
-    return seed
-
-
-def _floats(
-    value: F32,
-    x: np.ndarray,
-    y: np.ndarray,
-    sources: Sequence[Source],
-    ways: Sequence[tuple[np.ndarray, np.ndarray]],
-    margin_px: float,
-) -> Mask:
-    """Whether points [M] of inverse depth ``value`` lie before the surface that any source sees there."""
-    floats = np.zeros(len(value), bool)
-    for source, way in zip(sources, ways, strict=True):
-        u, v, w, inside = place(way, source.camera, x.astype(np.float32), y.astype(np.float32), value)
-        iu, iv = np.rint(u[inside]).astype(np.int64), np.rint(v[inside]).astype(np.int64)
-        ahead = source.evidence.disparity[iv, iu] - source.scale.disparity(w[inside])
-        floats[inside] |= contradiction(ahead, margin_px) > 0.5
-    return floats
+    return Seeds(xs[good], ys[good], value[good], slope_x[good], slope_y[good])
 
 
 def _most(landings: Sequence[Landing], margin_px: float) -> F32:

@@ -6,12 +6,14 @@ namespace nb = nanobind;
 void register_band_cost(nb::module_ &m);
 void register_colour_evidence(nb::module_ &m);
 void register_fusion(nb::module_ &m);
+void register_landing(nb::module_ &m);
 void register_lenslet(nb::module_ &m);
 void register_plane_cost(nb::module_ &m);
 void register_plane_fit(nb::module_ &m);
 void register_sgm(nb::module_ &m);
 void register_softmax(nb::module_ &m);
 void register_spline(nb::module_ &m);
+void register_spread(nb::module_ &m);
 void register_unpack(nb::module_ &m);
 void register_warp(nb::module_ &m);
 
@@ -20,12 +22,14 @@ NB_MODULE(_native, m) {
     register_band_cost(m);
     register_colour_evidence(m);
     register_fusion(m);
+    register_landing(m);
     register_lenslet(m);
     register_plane_cost(m);
     register_plane_fit(m);
     register_sgm(m);
     register_softmax(m);
     register_spline(m);
+    register_spread(m);
     register_unpack(m);
     register_warp(m);
 }
