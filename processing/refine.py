@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lfrig.processing.kernels.edge_snap import edge_snap
 from lfrig.processing.kernels.plane_fit import local_planes
 from lfrig.processing.model import F32, U8
 from lfrig.processing.plane_fit import Planes
@@ -24,6 +25,8 @@ class RefineSettings:
     snap: bool = True
     snap_radius: int = 3
     snap_threshold_px: float = 0.0175
+    snap_search: int = 5
+    """How far away the value may be that a pixel takes [px]."""
     snap_sigma_grey: float = 25.5
     snap_median: int = 3
     """Side of the median that takes single odd pixels out after the snap; 0 or 1 = none."""
@@ -54,34 +57,16 @@ def smooth(inverse_depth: F32, peak: F32, photo: U8, px_per_inverse: float, sett
 def snap_to_edges(inverse_depth: F32, photo: U8, px_per_inverse: float, settings: RefineSettings) -> F32:
     """Pixels that disagree with the weighted median of their neighbourhood take a neighbour's value near to it.
 
-    The weighted median runs on 8-bit values, so it only decides; values always come from the map, without its steps.
     Edges are left ragged by single pixels, which a small plain median takes back.
     """
     import cv2
 
-    lo, hi = float(inverse_depth.min()), float(inverse_depth.max())
-    if hi - lo <= 0:
-        return inverse_depth
-    coded = np.uint8(np.clip((inverse_depth - lo) / (hi - lo) * 255 + 0.5, 0, 255))
-    # The filter clusters colours with OpenCV's global random state: the same seed gives the same bytes.
-    cv2.setRNGSeed(0)
-    median = cv2.ximgproc.weightedMedianFilter(
-        np.ascontiguousarray(photo), coded, settings.snap_radius, settings.snap_sigma_grey
-    )
-    wanted = lo + (hi - lo) * median.astype(np.float32) / 255
-    threshold = settings.snap_threshold_px / px_per_inverse + 0.5 * (hi - lo) / 255
-    bad = np.abs(inverse_depth - wanted) > threshold
-    ys, xs = np.nonzero(bad)
-    best, distance = wanted[bad], np.full(len(ys), 1e9, np.float32)
-    reach = 5
-    for dy in range(-reach, reach + 1):
-        for dx in range(-reach, reach + 1):
-            y, x = np.clip(ys + dy, 0, bad.shape[0] - 1), np.clip(xs + dx, 0, bad.shape[1] - 1)
-            value = inverse_depth[y, x]
-            off = np.abs(value - wanted[bad]) + 1e-3 * (abs(dx) + abs(dy)) * np.float32(hi - lo)
-            closer = off < distance
-            best = np.where(closer, value, best)
-            distance = np.where(closer, off, distance)
-    out = inverse_depth.copy()
-    out[bad] = best
+    window = np.ones((2 * settings.snap_radius + 1,) * 2, np.uint8)
+    highest, lowest = cv2.dilate(inverse_depth, window), cv2.erode(inverse_depth, window)
+    threshold = settings.snap_threshold_px / px_per_inverse
+    out = edge_snap(
+        inverse_depth, photo, np.asarray(highest - lowest > threshold), radius=settings.snap_radius,
+        search=settings.snap_search, sigma_grey=settings.snap_sigma_grey, threshold=threshold,
+        per_step=1e-3 * float(inverse_depth.max() - inverse_depth.min()),
+    )  # fmt: skip
     return out if settings.snap_median < 3 else np.asarray(cv2.medianBlur(out, settings.snap_median), np.float32)
