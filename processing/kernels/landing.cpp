@@ -3,11 +3,10 @@
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 
-#include <algorithm>
 #include <stdexcept>
 
-#include "landing.hpp"
 #include "lfrig/parallel.hpp"
+#include "ways.hpp"
 
 namespace nb = nanobind;
 using nb::ndarray;
@@ -26,20 +25,17 @@ LFRIG_CLONES void land_line(const Way &way, const float *__restrict inverse_dept
     }
 }
 
-using F2 = ndarray<const float, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 using O2 = ndarray<float, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 
 // See landing.py; inside uint8 [H, W].
-void landing(F2 inverse_depth, F2 disparity, ndarray<const float, nb::ndim<1>, nb::c_contig, nb::device::cpu> map,
-             int frame_height, int frame_width, float a, float c, O2 u, O2 v, O2 before,
+void landing(Grid inverse_depth, const Maps &disparity, const Flats &numbers, O2 u, O2 v, O2 before,
              ndarray<uint8_t, nb::ndim<2>, nb::c_contig, nb::device::cpu> inside, int threads) {
     const int height = int(inverse_depth.shape(0)), width = int(inverse_depth.shape(1));
     const size_t area = size_t(height) * size_t(width);
-    if (map.shape(0) != 12 || u.size() != area || v.size() != area || before.size() != area || inside.size() != area ||
-        disparity.size() < 1)
+    const std::vector<Way> ways = ways_of(disparity, numbers);
+    if (ways.size() != 1 || u.size() != area || v.size() != area || before.size() != area || inside.size() != area)
         throw std::invalid_argument("landing: shapes do not match");
-    Way way{frame_height, frame_width, int(disparity.shape(0)), int(disparity.shape(1)), disparity.data(), {}, a, c};
-    std::copy(map.data(), map.data() + 12, way.map);
+    const Way &way = ways[0];
     const float *from = inverse_depth.data();
     float *to_u = u.data(), *to_v = v.data(), *to_before = before.data();
     uint8_t *to_inside = inside.data();
@@ -53,8 +49,7 @@ void landing(F2 inverse_depth, F2 disparity, ndarray<const float, nb::ndim<1>, n
 }  // namespace
 
 void register_landing(nb::module_ &m) {
-    m.def("landing", &landing, nb::arg("inverse_depth").noconvert(), nb::arg("disparity").noconvert(),
-          nb::arg("map").noconvert(), nb::arg("frame_height"), nb::arg("frame_width"), nb::arg("a"), nb::arg("c"),
+    m.def("landing", &landing, nb::arg("inverse_depth").noconvert(), nb::arg("disparity"), nb::arg("numbers"),
           nb::arg("u").noconvert(), nb::arg("v").noconvert(), nb::arg("before").noconvert(),
           nb::arg("inside").noconvert(), nb::arg("threads"));
 }

@@ -5,6 +5,7 @@ C++ form: ``landing.cpp``.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,10 +32,14 @@ class Way:
     disparity: F32
     scale: ScaleFit
 
-    @property
-    def flat(self) -> F32:
-        """A row by row, then b, float32 [12]."""
-        return np.ascontiguousarray(np.r_[self.projection[0].ravel(), self.projection[1]], np.float32)
+
+def packed(ways: Sequence[Way]) -> tuple[list[F32], list[F32]]:
+    """As kernels take them (ways.hpp): disparity maps, and A row by row, b, a, c, height, width as float32 [16] each."""
+    numbers = [
+        np.r_[way.projection[0].ravel(), way.projection[1], way.scale.a, way.scale.c, way.size].astype(np.float32)
+        for way in ways
+    ]
+    return [np.ascontiguousarray(way.disparity, np.float32) for way in ways], numbers
 
 
 def landing(inverse_depth: F32, way: Way, *, threads: int = 0) -> tuple[F32, F32, Mask, F32]:
@@ -62,9 +67,8 @@ def landing(inverse_depth: F32, way: Way, *, threads: int = 0) -> tuple[F32, F32
     u, v, ahead = (np.empty(inverse_depth.shape, np.float32) for _ in range(3))
     inside = np.empty(inverse_depth.shape, np.uint8)
     native.landing(
-        np.ascontiguousarray(inverse_depth, np.float32), np.ascontiguousarray(way.disparity, np.float32), way.flat,
-        *way.size, way.scale.a, way.scale.c, u, v, ahead, inside, threads,
-    )  # fmt: skip
+        np.ascontiguousarray(inverse_depth, np.float32), *packed([way]), u, v, ahead, inside, threads
+    )
     return u, v, inside.view(np.bool_), ahead
 
 

@@ -5,6 +5,7 @@ namespace nb = nanobind;
 
 void register_band_cost(nb::module_ &m);
 void register_colour_evidence(nb::module_ &m);
+void register_edge_cost(nb::module_ &m);
 void register_edge_snap(nb::module_ &m);
 void register_fusion(nb::module_ &m);
 void register_landing(nb::module_ &m);
@@ -22,6 +23,7 @@ NB_MODULE(_native, m) {
     m.doc() = "lfrig's native kernels; each has a NumPy twin in the Python file of its name.";
     register_band_cost(m);
     register_colour_evidence(m);
+    register_edge_cost(m);
     register_edge_snap(m);
     register_fusion(m);
     register_landing(m);

@@ -2,8 +2,6 @@
 // Twin: spread.py.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
-#include <nanobind/stl/tuple.h>
-#include <nanobind/stl/vector.h>
 
 #include <algorithm>
 #include <cmath>
@@ -14,7 +12,7 @@
 #include <tuple>
 #include <vector>
 
-#include "landing.hpp"
+#include "ways.hpp"
 
 namespace nb = nanobind;
 using nb::ndarray;
@@ -41,33 +39,21 @@ bool floats(const std::vector<Way> &ways, int x, int y, float inverse_depth, flo
     return false;
 }
 
-using F1 = ndarray<const float, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
-using F2 = ndarray<const float, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 using I2 = ndarray<const int32_t, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 using U2 = ndarray<const uint8_t, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 using U3 = ndarray<const uint8_t, nb::ndim<3>, nb::c_contig, nb::device::cpu>;
 
-// domain uint8 [H, W]; guide uint8 [H, W, 3]; places int32 [M, 2] (x, y) and planes float32 [M, 3] of the seeds; per
-// source its disparity, map float32 [12], frame (height, width) and scale (a, c); out int32 [H, W]. See spread.py.
-void spread(U2 domain, U3 guide, I2 places, F2 planes, const std::vector<F2> &disparity, const std::vector<F1> &maps,
-            const std::vector<std::tuple<int, int>> &sizes, const std::vector<std::tuple<float, float>> &scales,
-            int straight, int diagonal, int step_grey, float reach, float most, int longest,
+// domain uint8 [H, W]; guide uint8 [H, W, 3]; places int32 [M, 2] (x, y) and planes float32 [M, 3] of the seeds; out
+// int32 [H, W]. See spread.py.
+void spread(U2 domain, U3 guide, I2 places, Grid planes, const Maps &disparity, const Flats &numbers, int straight,
+            int diagonal, int step_grey, float reach, float most, int longest,
             ndarray<int32_t, nb::ndim<2>, nb::c_contig, nb::device::cpu> out) {
     const int height = int(domain.shape(0)), width = int(domain.shape(1)), count = int(places.shape(0));
     const size_t area = size_t(height) * size_t(width);
     if (guide.size() != 3 * area || out.size() != area || places.shape(1) != 2 || int(planes.shape(0)) != count ||
-        planes.shape(1) != 3 || maps.size() != disparity.size() || sizes.size() != disparity.size() ||
-        scales.size() != disparity.size())
+        planes.shape(1) != 3)
         throw std::invalid_argument("spread: shapes do not match");
-    std::vector<Way> ways;
-    for (size_t i = 0; i < disparity.size(); ++i) {
-        if (maps[i].shape(0) != 12 || disparity[i].size() < 1)
-            throw std::invalid_argument("spread: shapes do not match");
-        Way way{std::get<0>(sizes[i]), std::get<1>(sizes[i]), int(disparity[i].shape(0)), int(disparity[i].shape(1)),
-                disparity[i].data(), {}, std::get<0>(scales[i]), std::get<1>(scales[i])};
-        std::copy(maps[i].data(), maps[i].data() + 12, way.map);
-        ways.push_back(way);
-    }
+    const std::vector<Way> ways = ways_of(disparity, numbers);
     std::vector<Seed> seeds;
     for (int i = 0; i < count; ++i) {
         const int32_t *at = places.data() + 2 * i;
@@ -115,7 +101,7 @@ void spread(U2 domain, U3 guide, I2 places, F2 planes, const std::vector<F2> &di
 
 void register_spread(nb::module_ &m) {
     m.def("spread", &spread, nb::arg("domain").noconvert(), nb::arg("guide").noconvert(),
-          nb::arg("places").noconvert(), nb::arg("planes").noconvert(), nb::arg("disparity"), nb::arg("maps"),
-          nb::arg("sizes"), nb::arg("scales"), nb::arg("straight"), nb::arg("diagonal"), nb::arg("step_grey"),
+          nb::arg("places").noconvert(), nb::arg("planes").noconvert(), nb::arg("disparity"),
+          nb::arg("numbers"), nb::arg("straight"), nb::arg("diagonal"), nb::arg("step_grey"),
           nb::arg("reach"), nb::arg("most"), nb::arg("longest"), nb::arg("out").noconvert());
 }

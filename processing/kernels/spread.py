@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfrig.contracts.native import load_native
-from lfrig.processing.kernels.landing import Mask, Way, land_points
+from lfrig.processing.kernels.landing import Mask, Way, land_points, packed
 from lfrig.processing.model import F32, U8
 
 I32 = NDArray[np.int32]
@@ -82,9 +82,7 @@ def spread(
         np.ascontiguousarray(domain).view(np.uint8), np.ascontiguousarray(guide),
         np.ascontiguousarray(np.c_[seeds.x, seeds.y], np.int32),
         np.ascontiguousarray(np.c_[seeds.value, seeds.slope_x, seeds.slope_y], np.float32),
-        [np.ascontiguousarray(way.disparity, np.float32) for way in ways], [way.flat for way in ways],
-        [way.size for way in ways], [(way.scale.a, way.scale.c) for way in ways], STRAIGHT, DIAGONAL,
-        max(1, round(step_grey)), reach, most_ahead, longest, out,
+        *packed(ways), STRAIGHT, DIAGONAL, max(1, round(step_grey)), reach, most_ahead, longest, out,
     )  # fmt: skip
     return out
 
