@@ -83,7 +83,7 @@ def decide_edges(
     own = blurred(photo, settings.blur_px)
     views = _views(inverse_depth, sources, camera, pose, own, settings)
     preference = edge_cost(near_value, far_value, tested, own, views, settings.rules)
-    preference[tested] += np.where(is_near[tested], np.float32(settings.inertia_grey), -np.float32(settings.inertia_grey))
+    preference += settings.inertia_grey * np.where(tested, np.where(is_near, 1, -1), 0).astype(np.float32)
     decided = cv2.ximgproc.guidedFilter(
         np.ascontiguousarray(photo), preference, settings.guide_radius, settings.guide_eps
     )

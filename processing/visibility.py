@@ -6,10 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lfrig.processing.geometry import project, projection
-from lfrig.processing.kernels.landing import FAR_OUTSIDE, Mask, Way, landing
+from lfrig.processing.kernels.landing import FAR_OUTSIDE, Way, landing
 from lfrig.processing.model import F32, F64, Camera, Pose, Source
+
+Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

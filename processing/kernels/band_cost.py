@@ -154,9 +154,7 @@ class _Tap:
     fraction: F32
 
 
-def _taps(
-    photo: F32, guide: U8, surface: tuple[F32, F32, F32], step: np.float32, patch: Patch
-) -> list[_Tap]:
+def _taps(photo: F32, guide: U8, surface: tuple[F32, F32, F32], step: np.float32, patch: Patch) -> list[_Tap]:
     """Those outside the frame, or whose row does not reach the plane, weigh nothing."""
     height, width = photo.shape
     colour = guide.astype(np.float32)
@@ -178,9 +176,7 @@ def _taps(
     return found
 
 
-def _cost_in(
-    view: View, taps: Sequence[_Tap], own: tuple[F32, F32, F32], w: F32, step: float, labels: int
-) -> F32:
+def _cost_in(view: View, taps: Sequence[_Tap], own: tuple[F32, F32, F32], w: F32, step: float, labels: int) -> F32:
     """1 − ZNCC in one source, float32 [H, W, K]; NaN where it does not show the point. ``own``: mass, mean and variance
     of the photo's patches.
     """

@@ -72,9 +72,7 @@ def edge_cost(
     return out
 
 
-def edge_cost_numpy(
-    near: F32, far: F32, at: Mask, photo: F32, views: Sequence[EdgeView], rules: EdgeRules
-) -> F32:
+def edge_cost_numpy(near: F32, far: F32, at: Mask, photo: F32, views: Sequence[EdgeView], rules: EdgeRules) -> F32:
     """NumPy twin."""
     ys, xs = np.nonzero(at)
     costs = []

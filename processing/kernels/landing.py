@@ -34,7 +34,7 @@ class Way:
 
 
 def packed(ways: Sequence[Way]) -> tuple[list[F32], list[F32]]:
-    """As kernels take them (ways.hpp): disparity maps, and A row by row, b, a, c, height, width as float32 [16] each."""
+    """As kernels take them (ways.hpp): disparity maps, and float32 [16] each: A row by row, b, a, c, height, width."""
     numbers = [
         np.r_[way.projection[0].ravel(), way.projection[1], way.scale.a, way.scale.c, way.size].astype(np.float32)
         for way in ways
@@ -66,9 +66,7 @@ def landing(inverse_depth: F32, way: Way, *, threads: int = 0) -> tuple[F32, F32
         return land_points(way, xs, ys, inverse_depth)
     u, v, ahead = (np.empty(inverse_depth.shape, np.float32) for _ in range(3))
     inside = np.empty(inverse_depth.shape, np.uint8)
-    native.landing(
-        np.ascontiguousarray(inverse_depth, np.float32), *packed([way]), u, v, ahead, inside, threads
-    )
+    native.landing(np.ascontiguousarray(inverse_depth, np.float32), *packed([way]), u, v, ahead, inside, threads)
     return u, v, inside.view(np.bool_), ahead
 
 
