@@ -15,6 +15,9 @@ from lfrig.contracts.progress import Monitor
 from lfrig.processing.model import F32, F64, U8, Camera, LightField
 from lfrig.processing.patch import correlation, patch_window
 
+Point = tuple[float, float]
+"""(x, y) px."""
+
 MAX_CORNERS = 500
 MIN_STILL = 8
 MIN_TURN_DEG = 5.0
@@ -33,8 +36,11 @@ bricks) seems to stand still in pairs whose turn is a multiple of its period; wh
 On the tuning scenes nothing that turns comes above 0.02; a still wall over a fifth of the picture makes 0.05 to 0.3."""
 
 
-def still_share(first: U8, second: U8, zoom: float) -> float:
+def still_share(first: U8, second: U8, zoom: float, middles: tuple[Point, Point] | None = None) -> float:
     """Share of the corners of a picture that a second one, ``zoom`` times as large, shows in the same place.
+
+    ``middles`` are the pixels (x, y) that the optical axes meet, by default the pictures' own middles; the pictures may
+    be of different sizes.
 
     Corners are tracked from where they would be if nothing had turned (pyramidal Lucas–Kanade, there and back); those
     that agree on one similarity near that zoom stand still.
@@ -46,12 +52,15 @@ def still_share(first: U8, second: U8, zoom: float) -> float:
     if corners is None:
         return 0.0
     start = corners[:, 0].astype(np.float32)
-    middle_a, middle_b = (np.array([p.shape[1] - 1, p.shape[0] - 1], np.float32) / 2 for p in (a, b))
+    own = tuple(((p.shape[1] - 1) / 2, (p.shape[0] - 1) / 2) for p in (a, b))
+    middle_a, middle_b = (np.array(middle, np.float32) for middle in middles or own)
+    width = a.shape[1]
+    a, b = _of_one_size(a, b)
     expected = np.asarray((start - middle_a) * np.float32(zoom) + middle_b, np.float32)
     found, there = _tracked(a, b, start, expected)
     returned, back = _tracked(b, a, found, start)
     good = there & back & (np.linalg.norm(returned - start, axis=1) < 0.5)
-    good &= np.linalg.norm(found - expected, axis=1) < REACH * a.shape[1]
+    good &= np.linalg.norm(found - expected, axis=1) < REACH * width
     good[good] = _correlation(a, b, start[good], found[good], zoom) > ALIKE
     return _agreeing(start[good], found[good], zoom) / len(start)
 
@@ -66,7 +75,7 @@ def warn_of_still_background(sources: Sequence[LightField], monitor: Monitor) ->
             if turn < MIN_TURN_DEG:
                 continue
         zoom = _focal(b.camera, b.width) / _focal(a.camera, a.width)
-        shares.append((still_share(a.centre_view, b.centre_view, zoom), a.id, b.id))
+        shares.append((still_share(a.centre_view, b.centre_view, zoom, (_middle(a), _middle(b))), a.id, b.id))
     if not shares:
         return
     share, first, second = sorted(shares)[len(shares) // 2]
@@ -76,6 +85,25 @@ def warn_of_still_background(sources: Sequence[LightField], monitor: Monitor) ->
             f"captures {first} and {second}: {share:.0%} of the corners stand still while the plate turns; what does "
             "not turn with it misleads poses and depth: hang a plain backdrop, or move the camera closer",
         )
+
+
+def _middle(light_field: LightField) -> Point:
+    camera = light_field.camera
+    if camera is None:
+        return (light_field.width - 1) / 2, (light_field.height - 1) / 2
+    return camera.cx, camera.cy
+
+
+def _of_one_size(a: U8, b: U8) -> tuple[U8, U8]:
+    """Both pictures [H, W], the smaller one continued by its border: the tracker wants equal sizes."""
+    import cv2
+
+    height, width = (max(a.shape[axis], b.shape[axis]) for axis in (0, 1))
+    padded = (
+        cv2.copyMakeBorder(p, 0, height - p.shape[0], 0, width - p.shape[1], cv2.BORDER_REPLICATE) for p in (a, b)
+    )
+    first, second = (np.asarray(p, np.uint8) for p in padded)
+    return first, second
 
 
 def _focal(camera: Camera | None, width: int) -> float:
