@@ -104,6 +104,8 @@ def continue_hidden(
     photo: U8,
     px_per_inverse: float,
     settings: ContinuationSettings = DEFAULT_CONTINUATION,
+    *,
+    threads: int = 0,
 ) -> tuple[F32, int]:
     """Fill what no source sees.
 
@@ -124,7 +126,7 @@ def continue_hidden(
         Pixels that took over a plane.
     """
     surface = match.inverse_depth
-    landings = [land(surface, source, camera, pose) for source in sources]
+    landings = [land(surface, source, camera, pose, threads=threads) for source in sources]
     noise_sigma = usual_noise(sources)
     areas = _find_areas(match, landings, photo, noise_sigma, px_per_inverse, settings)
     if not areas.mistaken.any():
@@ -132,7 +134,9 @@ def continue_hidden(
     # Planes are fitted at a distance and travel across the strip between.
     crossed = _grown(areas.mistaken, settings.clearance) & (areas.mistaken | areas.trusted)
     trusted = areas.trusted & ~crossed
-    seeds = _fit_seeds(surface, planes, trusted, _grown(crossed, settings.seeds), photo, px_per_inverse, settings)
+    seeds = _fit_seeds(
+        surface, planes, trusted, _grown(crossed, settings.seeds), photo, px_per_inverse, settings, threads
+    )
     seed = spread(
         seeds, crossed, photo, [way_into(source, camera, pose) for source in sources], step_grey=settings.step_grey,
         reach=settings.slope_reach, most_ahead=half_contradicted(settings.contradiction_px), longest=settings.longest,
@@ -142,7 +146,9 @@ def continue_hidden(
     out[ys, xs] = seeds.at(seed[ys, xs], xs, ys, settings.slope_reach)
     # Doubt about a pixel that a source sees is settled only by a place where none does.
     seen = _most(landings, settings.margin_px) > 0.5
-    still_seen = _most([land(out, source, camera, pose) for source in sources], settings.margin_px) > 0.5
+    still_seen = (
+        _most([land(out, source, camera, pose, threads=threads) for source in sources], settings.margin_px) > 0.5
+    )
     out = np.where(seen & still_seen, surface, out)
     px = px_per_inverse * max(1.0, WIDTH / photo.shape[1])
     out = surface + np.clip(out - surface, -settings.farther_px / px, settings.nearer_px / px, dtype=np.float32)
@@ -186,13 +192,14 @@ def _fit_seeds(
     photo: U8,
     px_per_inverse: float,
     settings: ContinuationSettings,
+    threads: int,
 ) -> Seeds:
     """Planes through the trusted pixels of ``near``, from trusted pixels alone."""
     at = trusted & near
     value, slope_x, slope_y, support = local_planes(
         surface, trusted.astype(np.float32), photo, at, radius=settings.radius, stride=settings.stride,
         sigma_value=settings.sigma_px / px_per_inverse, sigma_grey=settings.sigma_grey, ridge=settings.ridge,
-        slopes=(planes.slope_x, planes.slope_y),
+        slopes=(planes.slope_x, planes.slope_y), threads=threads,
     )  # fmt: skip
     ys, xs = np.nonzero(at)
     good = support > settings.least_support

@@ -8,6 +8,7 @@ colour decide alike.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -16,6 +17,7 @@ import numpy as np
 from lfrig.processing.kernels.edge_cost import EdgeRules, EdgeView, edge_cost
 from lfrig.processing.kernels.landing import Way, land_points
 from lfrig.processing.model import F32, U8, Camera, Pose, Source
+from lfrig.processing.skipping import SKIP_ALL, Skips, Tally
 from lfrig.processing.tone import Tone, blurred, fit_tone
 from lfrig.processing.visibility import Landing, Mask, way_into
 
@@ -59,6 +61,10 @@ def decide_edges(
     photo: U8,
     px_per_inverse: float,
     settings: EdgeSettings = DEFAULT_EDGES,
+    *,
+    skips: Skips = SKIP_ALL,
+    tally: Tally | None = None,
+    threads: int = 0,
 ) -> tuple[F32, int]:
     """Decide near or far at every pixel close to a depth step.
 
@@ -82,8 +88,14 @@ def decide_edges(
         return inverse_depth, 0
     own = blurred(photo, settings.blur_px)
     views = _views(inverse_depth, sources, camera, pose, own, settings)
-    preference = edge_cost(near_value, far_value, tested, own, views, settings.rules)
-    preference += settings.inertia_grey * np.where(tested, np.where(is_near, 1, -1), 0).astype(np.float32)
+    start = time.process_time()
+    at = tested if skips.certain else np.ones_like(tested)
+    preference = edge_cost(near_value, far_value, at, own, views, settings.rules, threads=threads)
+    if tally is not None:
+        done = int(at.sum())
+        tally.add("certain", done, at.size - done, "pixels near edges", time.process_time() - start)
+    preference += np.float32(settings.inertia_grey) * np.where(is_near, np.float32(1), np.float32(-1))
+    preference[~tested] = 0
     decided = cv2.ximgproc.guidedFilter(
         np.ascontiguousarray(photo), preference, settings.guide_radius, settings.guide_eps
     )

@@ -109,7 +109,9 @@ def shipped_model() -> ConfidenceModel:
     return ConfidenceModel.from_json(json.loads(FILE.read_text(encoding="utf-8")))
 
 
-def estimate(clues: Clues, px_per_inverse: float, model: ConfidenceModel | None = None) -> tuple[F32, F32]:
+def estimate(
+    clues: Clues, px_per_inverse: float, model: ConfidenceModel | None = None, *, threads: int = 0
+) -> tuple[F32, F32]:
     """Confidence and sigma of a surface.
 
     Parameters
@@ -126,7 +128,7 @@ def estimate(clues: Clues, px_per_inverse: float, model: ConfidenceModel | None 
     model = model or shipped_model()
     maps = feature_maps(clues)
     features = [maps[name].ravel() for name in model.names]
-    log_sigma = model.sigma(model.log_error(features)).reshape(clues.surface.shape)
+    log_sigma = model.sigma(model.log_error(features, threads=threads)).reshape(clues.surface.shape)
     own = np.exp(log_sigma) * np.float32(clues.unit * px_per_inverse)
     common = clues.surface * np.float32(clues.scale_sigma * px_per_inverse)
     sigma_px, judged = (

@@ -72,6 +72,7 @@ def band_cost(
     patch: Patch,
     *,
     least_visible: float = LEAST_VISIBLE,
+    unit: int = UNIT,
     threads: int = 0,
 ) -> U16:
     """Matching cost of every label, the mean over the sources, weighted by how far each sees the surface.
@@ -90,23 +91,25 @@ def band_cost(
         K, at most 128.
     least_visible : float
         Sources that see a pixel no better are not compared there; −1 compares all everywhere.
+    unit : int
+        A cost of 1 in fixed point.
 
     Returns
     -------
-    uint16 [H, W, K], ``min(1 − ZNCC, cap)`` in units of 1 / `UNIT`; the cap where no source shows the point.
+    uint16 [H, W, K], ``min(1 − ZNCC, cap)`` in 1 / ``unit``; the cap where no source shows the point.
     """
     shape = photo.shape
     if guide.shape != (*shape, 3) or any(part.shape != shape for part in (*surface, *(v.visible for v in views))):
         raise ValueError(f"shapes do not match: photo {shape}, guide {guide.shape}")
     native = load_native("lfrig.processing.kernels._native")
     if native is None:
-        return band_cost_numpy(photo, guide, views, surface, step, labels, patch, least_visible)
+        return band_cost_numpy(photo, guide, views, surface, step, labels, patch, least_visible, unit)
     out = np.empty((*shape, labels), np.uint16)
     native.band_cost(
         np.ascontiguousarray(photo), np.ascontiguousarray(guide), [np.ascontiguousarray(v.grey) for v in views],
         [np.ascontiguousarray(v.visible) for v in views], [v.flat for v in views], [v.noise for v in views],
         *(np.ascontiguousarray(part) for part in surface), step, patch.radius, patch.stride, REACH, patch.sigma_grey,
-        patch.cap, least_visible, UNIT, out, threads,
+        patch.cap, least_visible, unit, out, threads,
     )  # fmt: skip
     return out
 
@@ -120,6 +123,7 @@ def band_cost_numpy(
     labels: int,
     patch: Patch,
     least_visible: float,
+    unit: int,
 ) -> U16:
     """NumPy twin."""
     taps = list(_taps(photo, guide, surface, np.float32(step), patch))
@@ -137,7 +141,7 @@ def band_cost_numpy(
     with np.errstate(divide="ignore", invalid="ignore"):
         total /= seen[..., None]
     total[~(seen > 0)] = patch.cap
-    return np.asarray(total * np.float32(UNIT) + np.float32(0.5), np.uint16)
+    return np.asarray(total * np.float32(unit) + np.float32(0.5), np.uint16)
 
 
 @dataclass(frozen=True)

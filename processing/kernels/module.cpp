@@ -4,6 +4,7 @@
 namespace nb = nanobind;
 
 void register_band_cost(nb::module_ &m);
+void register_band_peak(nb::module_ &m);
 void register_colour_evidence(nb::module_ &m);
 void register_edge_cost(nb::module_ &m);
 void register_edge_snap(nb::module_ &m);
@@ -24,6 +25,7 @@ void register_warp(nb::module_ &m);
 NB_MODULE(_native, m) {
     m.doc() = "lfrig's native kernels; each has a NumPy twin in the Python file of its name.";
     register_band_cost(m);
+    register_band_peak(m);
     register_colour_evidence(m);
     register_edge_cost(m);
     register_edge_snap(m);
