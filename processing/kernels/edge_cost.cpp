@@ -31,12 +31,14 @@ inline float between(float t, float lo, float hi) { return t < lo ? lo : (t > hi
 LFRIG_CLONES void look(const View &view, const Rules &r, const float *__restrict photo, const float *__restrict xs,
                        float y, const float *__restrict inverse_depth, int count, float *__restrict total,
                        float *__restrict mass) {
-    const int width = view.way.map_width;
-    const float right = float(width) - 1.001f, bottom = float(view.way.map_height) - 1.001f;
+    const Way way = view.way;
+    const int width = way.map_width;
+    const float right = float(width) - 1.001f, bottom = float(way.map_height) - 1.001f;
     const float *__restrict picture = view.picture;
+#pragma GCC ivdep  // what is written is not read
     for (int i = 0; i < count; ++i) {
-        const Spot spot = land(view.way, xs[i], y, inverse_depth[i]);
-        const float before = ahead(view.way, spot);
+        const Spot spot = land(way, xs[i], y, inverse_depth[i]);
+        const float before = ahead(way, spot);
         const float hidden = (before - r.margin_px) / (0.5f * r.margin_px);
         const float seen = between(1.0f - hidden, 0.0f, 1.0f) * float(spot.inside);
         const float floats = between((-before - r.contradiction_px) / (0.5f * r.contradiction_px), 0.0f, 1.0f);

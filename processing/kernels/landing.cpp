@@ -13,9 +13,11 @@ using nb::ndarray;
 
 namespace {
 
-LFRIG_CLONES void land_line(const Way &way, const float *__restrict inverse_depth, int y, int width,
+LFRIG_CLONES void land_line(const Way &into, const float *__restrict inverse_depth, int y, int width,
                             float *__restrict u, float *__restrict v, float *__restrict before,
                             uint8_t *__restrict inside) {
+    const Way way = into;
+#pragma GCC ivdep  // what is written is not read
     for (int x = 0; x < width; ++x) {
         const Spot spot = land(way, float(x), float(y), inverse_depth[x]);
         u[x] = spot.u;

@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from lfrig.processing.kernels.band_peak import band_peak
 from lfrig.processing.kernels.edge_cost import EdgeRules, EdgeView, edge_cost
 from lfrig.processing.kernels.edge_snap import edge_snap
 from lfrig.processing.kernels.landing import FAR_OUTSIDE, Way, landing
@@ -237,3 +238,27 @@ def test_a_perceptron_needs_layers_that_fit() -> None:
     one, two = np.ones((1, 2), np.float32), np.ones((2, 2), np.float32)
     with pytest.raises(ValueError, match="fit"):
         perceptron([one[0]], one[0, :1], one[0, :1], [Layer(two, two[0])], limit=4.0, leak=0.05)
+
+
+@native_only
+@pytest.mark.parametrize("shape", [(1, 1, 1), (3, 5, 2), (4, 9, 7), (5, 21, 128)])
+def test_band_peak(monkeypatch, shape) -> None:
+    rng = np.random.default_rng(10)
+    cost = rng.integers(0, 2049, shape).astype(np.uint16)
+    total = rng.choice([0, 7, 500, 40_000, 65_535], shape).astype(np.uint16)
+
+    def call(threads: int = 0):  # type: ignore[no-untyped-def]
+        return np.stack(band_peak(cost, total, threads=threads))
+
+    native, twin = both(monkeypatch, call)
+    np.testing.assert_array_equal(native, twin)
+    same_for_all_threads(monkeypatch, native, call)
+
+
+def test_a_peak_is_found_to_a_fraction_and_known_by_its_rivals() -> None:
+    total = np.full((1, 1, 12), 900, np.uint16)
+    total[0, 0, 3:7] = [400, 100, 200, 700]  # a parabola's least value lies at 4.25
+    total[0, 0, 10] = 350
+    label, least, margin, curvature = band_peak(np.full((1, 1, 12), 5, np.uint16), total)
+    assert label[0, 0] == pytest.approx(4.25) and least[0, 0] == 5
+    assert margin[0, 0] == 250 and curvature[0, 0] == 800 + 600
