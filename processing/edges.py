@@ -22,7 +22,7 @@ from lfrig.processing.tone import Tone, blurred, fit_tone
 from lfrig.processing.visibility import Landing, Mask, way_into
 
 TONE_SAMPLES = 8_000
-"""Of a photo: their fit is good to a hundredth of a grey level."""
+"""About how many pixels of the photo the sources' tones are fitted to."""
 
 
 @dataclass(frozen=True)

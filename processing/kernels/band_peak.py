@@ -50,7 +50,7 @@ def band_peak_numpy(cost: U16, total: U16, reach: int) -> tuple[F32, F32, F32, F
     inner = (best > 0) & (best < last) & (bend > 0)
     offset = np.where(inner, (0.5 * (before - after)).astype(np.float32) / np.maximum(bend, 1).astype(np.float32), 0)
     away = np.abs(np.arange(last + 1) - best[..., None]) > reach
-    margin = np.where(away.any(2), np.where(away, total, 2**16).min(2) - here, 0)
+    margin = np.where(away.any(2), np.where(away, total.astype(np.int64), 2**16).min(2) - here, 0)
     curvature = at(best - reach) + at(best + reach) - 2 * here
     label = best.astype(np.float32) + offset.astype(np.float32)
     return label, cost.min(2).astype(np.float32), margin.astype(np.float32), curvature.astype(np.float32)
