@@ -18,9 +18,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lfrig.processing.kernels.layer_mean import layer_mean
 from lfrig.processing.kernels.plane_fit import local_planes
 from lfrig.processing.kernels.spread import Seeds, spread
-from lfrig.processing.match_doubt import excess_cost, layer_mean, local_variance
+from lfrig.processing.match_doubt import excess_cost, local_variance
 from lfrig.processing.model import F32, U8, Camera, Pose, Source
 from lfrig.processing.plane_fit import Planes
 from lfrig.processing.sources import usual_noise
@@ -128,7 +129,7 @@ def continue_hidden(
     surface = match.inverse_depth
     landings = [land(surface, source, camera, pose, threads=threads) for source in sources]
     noise_sigma = usual_noise(sources)
-    areas = _find_areas(match, landings, photo, noise_sigma, px_per_inverse, settings)
+    areas = _find_areas(match, landings, photo, noise_sigma, px_per_inverse, settings, threads)
     if not areas.mistaken.any():
         return surface, 0
     # Planes are fitted at a distance and travel across the strip between.
@@ -162,23 +163,25 @@ def _find_areas(
     noise_sigma: float,
     px_per_inverse: float,
     settings: ContinuationSettings,
+    threads: int,
 ) -> _Areas:
     import cv2
 
     hidden = _most(landings, settings.margin_px) < 0.5
     agreeing = count_agreeing(landings, settings.agree_px)
-    # What floats before a source's surface is mistaken, but not because it is hidden.
-    floating = np.zeros_like(hidden)
-    for landing in landings:
-        floating |= landing.inside & (landing.contradicted(settings.contradiction_px) > 0.5)
-    cost = layer_mean(match.cost, match.inverse_depth, settings.layer_px / px_per_inverse, settings.window)
-    cost = excess_cost(cost, local_variance(photo, settings.window), noise_sigma)
-    doubtful = (cost > settings.doubt_cost) & (agreeing < settings.enough)
-    mistaken = ((agreeing == 0) | doubtful) & ~floating
     square = np.ones((settings.least_area, settings.least_area), np.uint8)
     core = cv2.morphologyEx(hidden.astype(np.uint8), cv2.MORPH_OPEN, square) > 0
     if not core.any():
         return _Areas(np.zeros_like(hidden), agreeing > 0)
+    # What floats before a source's surface is mistaken, but not because it is hidden.
+    floating = np.zeros_like(hidden)
+    for landing in landings:
+        floating |= landing.inside & (landing.contradicted(settings.contradiction_px) > 0.5)
+    sigma = settings.layer_px / px_per_inverse
+    cost = layer_mean(match.cost, match.inverse_depth, sigma=sigma, window=settings.window, threads=threads)
+    cost = excess_cost(cost, local_variance(photo, settings.window), noise_sigma)
+    doubtful = (cost > settings.doubt_cost) & (agreeing < settings.enough)
+    mistaken = ((agreeing == 0) | doubtful) & ~floating
     distance = cv2.distanceTransform((~core).astype(np.uint8), cv2.DIST_L2, 5)
     joined = _joined(mistaken | core, core) & (distance < settings.rim)
     return _Areas(joined, (agreeing > 0) & (cost <= settings.trust_cost))

@@ -10,6 +10,7 @@ void register_edge_cost(nb::module_ &m);
 void register_edge_snap(nb::module_ &m);
 void register_fusion(nb::module_ &m);
 void register_landing(nb::module_ &m);
+void register_layer_mean(nb::module_ &m);
 void register_lenslet(nb::module_ &m);
 void register_perceptron(nb::module_ &m);
 void register_plane_cost(nb::module_ &m);
@@ -31,6 +32,7 @@ NB_MODULE(_native, m) {
     register_edge_snap(m);
     register_fusion(m);
     register_landing(m);
+    register_layer_mean(m);
     register_lenslet(m);
     register_perceptron(m);
     register_plane_cost(m);

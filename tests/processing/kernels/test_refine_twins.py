@@ -12,6 +12,7 @@ from lfrig.processing.kernels.band_peak import band_peak
 from lfrig.processing.kernels.edge_cost import EdgeRules, EdgeView, edge_cost
 from lfrig.processing.kernels.edge_snap import edge_snap
 from lfrig.processing.kernels.landing import FAR_OUTSIDE, Way, landing
+from lfrig.processing.kernels.layer_mean import layer_mean
 from lfrig.processing.kernels.perceptron import Layer, perceptron
 from lfrig.processing.kernels.spread import DIAGONAL, STRAIGHT, Seeds, spread
 from lfrig.processing.model import ScaleFit
@@ -262,3 +263,26 @@ def test_a_peak_is_found_to_a_fraction_and_known_by_its_rivals() -> None:
     label, least, margin, curvature = band_peak(np.full((1, 1, 12), 5, np.uint16), total)
     assert label[0, 0] == pytest.approx(4.25) and least[0, 0] == 5
     assert margin[0, 0] == 250 and curvature[0, 0] == 800 + 600
+
+
+@native_only
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("window", [1, 9])
+def test_layer_mean(monkeypatch, shape, window) -> None:
+    rng = np.random.default_rng(11)
+    values, layer = (rng.normal(1, 0.3, shape).astype(np.float32) for _ in range(2))
+    layer.flat[0] = 1e30
+
+    def call(threads: int = 0):  # type: ignore[no-untyped-def]
+        return layer_mean(values, layer, sigma=0.2, window=window, threads=threads)
+
+    with np.errstate(over="ignore"):
+        native, twin = both(monkeypatch, call)
+    np.testing.assert_allclose(native, twin, rtol=1e-5)
+    same_for_all_threads(monkeypatch, native, call)
+
+
+def test_the_mean_stays_on_its_layer() -> None:
+    layer = np.where(np.arange(20) < 10, 1.0, 2.0).astype(np.float32)[None].repeat(9, 0)
+    values = 10 * layer
+    assert np.abs(layer_mean(values, layer, sigma=0.1, window=9) - values).max() < 1e-4
