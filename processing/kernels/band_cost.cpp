@@ -79,28 +79,26 @@ void sample_line(const Band &s, const View &v, int y, int x0, int x1, float *row
 
 // ---- correlation ---------------------------------------------------------------------------------------------------
 
-struct Tap {
-    const float *row;
-    float fraction, weight, product;
-};
-
 struct Match {  // of one pixel with one source
     int groups, labels;
     float mass, own, noise, cap, weight, right, bottom;  // own: the patch's variance, noise included
     float start[3], move[3];
 };
 
-// Adds weight * cost of every label to `total`.
-LFRIG_CLONES void correlate(const Tap *taps, const Match &m, float *__restrict total) {
+// Adds weight * cost of every label to `total`. Tap n of the patch reads its row at rows + offset[n] and its numbers at
+// n * kRun.
+LFRIG_CLONES void correlate(const float *rows, const int32_t *offset, const float *weight, const float *product,
+                            const float *fraction, const Match &m, float *__restrict total) {
     alignas(64) float first[kMaxLabels], second[kMaxLabels], cross[kMaxLabels];
     for (int k = 0; k < m.labels; ++k) first[k] = second[k] = cross[k] = 0.0f;
-    for (int g = 0; g < m.groups; ++g) {
-        const Tap *t = taps + g * kGroup;
+    for (int g = 0; g < m.groups; ++g, offset += kGroup) {
         static_assert(kGroup == 5, "the taps of a group are written out");
-        const float *r0 = t[0].row, *r1 = t[1].row, *r2 = t[2].row, *r3 = t[3].row, *r4 = t[4].row;
-        const float f0 = t[0].fraction, f1 = t[1].fraction, f2 = t[2].fraction, f3 = t[3].fraction, f4 = t[4].fraction;
-        const float w0 = t[0].weight, w1 = t[1].weight, w2 = t[2].weight, w3 = t[3].weight, w4 = t[4].weight;
-        const float p0 = t[0].product, p1 = t[1].product, p2 = t[2].product, p3 = t[3].product, p4 = t[4].product;
+        const float *w = weight + g * kGroup * kRun, *p = product + g * kGroup * kRun, *f = fraction + g * kGroup * kRun;
+        const float *r0 = rows + offset[0], *r1 = rows + offset[1], *r2 = rows + offset[2], *r3 = rows + offset[3];
+        const float *r4 = rows + offset[4];
+        const float f0 = f[0], f1 = f[kRun], f2 = f[2 * kRun], f3 = f[3 * kRun], f4 = f[4 * kRun];
+        const float w0 = w[0], w1 = w[kRun], w2 = w[2 * kRun], w3 = w[3 * kRun], w4 = w[4 * kRun];
+        const float p0 = p[0], p1 = p[kRun], p2 = p[2 * kRun], p3 = p[3 * kRun], p4 = p[4 * kRun];
 #pragma GCC ivdep
         for (int k = 0; k < m.labels; ++k) {
             const float a = r0[k] + f0 * (r0[k + 1] - r0[k]), b = r1[k] + f1 * (r1[k + 1] - r1[k]);
@@ -128,45 +126,48 @@ LFRIG_CLONES void correlate(const Tap *taps, const Match &m, float *__restrict t
 // What one thread works with on one tile.
 struct Workspace {
     Patches patches;
-    std::vector<Tap> taps;
-    std::vector<float> rings, total;  // rings: [sources, lines, kTile + 2 radius, slots]; total: [kRun, labels]
+    std::vector<float> rings, total;     // rings: [sources, lines, kTile + 2 radius, slots]; total: [kRun, labels]
+    std::vector<int32_t> place, offset;  // of every tap in a ring: its pixel's row, and where it is read
     int lines, columns;
 
-    Workspace(const Band &s, size_t sources, int count)
-        : patches(count), taps(size_t(count)), lines(2 * s.radius + 1), columns(kTile + 2 * s.radius) {
+    Workspace(const Band &s, size_t sources, int taps)
+        : patches(taps), place(size_t(taps)), offset(size_t(taps)), lines(2 * s.radius + 1),
+          columns(kTile + 2 * s.radius) {
         rings.assign(sources * size_t(lines) * columns * s.slots, 0.0f);
         total.resize(size_t(kRun) * s.labels);
     }
 
-    float *ring(const Band &s, size_t source, int y) {
-        return rings.data() + (source * lines + size_t(y % lines)) * columns * s.slots;
-    }
+    int32_t line(const Band &s, int y) const { return y % lines * columns * s.slots; }
+
+    float *ring(const Band &s, size_t source) { return rings.data() + source * size_t(lines) * columns * s.slots; }
 };
 
-// Adds the costs of the run [x, x + width) of line y in one source; `x0` is the first pixel of the ring.
-void match_run(const Band &s, const View &v, size_t source, int y, int x, int width, int x0, int taps, Workspace &w) {
+// Adds the costs of the run [x, x + width) of line y; `x0` is the first pixel of the ring.
+void match_run(const Band &s, const std::vector<View> &views, int y, int x, int width, int x0, int taps,
+               Workspace &w) {
     const Patches &t = w.patches;
-    Match m{taps / kGroup, s.labels, 0, 0, v.noise, s.cap, 0, float(v.width - 1), float(v.height - 1), {}, {}};
-    for (int i = 0; i < 3; ++i) m.move[i] = v.map[9 + i] * s.step;
+    const int32_t own = w.line(s, y);
+    std::fill(w.place.begin(), w.place.end(), own);
+    size_t n = 0;
+    for (int dy = -s.radius; dy <= s.radius; dy += s.stride)
+        for (int dx = -s.radius; dx <= s.radius; dx += s.stride, ++n)
+            // Lines beyond the frame are not in the ring; their weight is 0.
+            if (y + dy >= 0 && y + dy < s.height) w.place[n] = w.line(s, y + dy) + dx * s.slots;
+    Match m{taps / kGroup, s.labels, 0, 0, 0, s.cap, 0, 0, 0, {}, {}};
     for (int i = 0; i < width; ++i) {
         const size_t p = size_t(y) * s.width + x + i;
-        if (!(v.visible[p] > s.least)) continue;
-        const size_t column = size_t(x + i - x0) * s.slots;
-        const float *own = w.ring(s, source, y) + column;
-        size_t n = 0;
-        for (int dy = -s.radius; dy <= s.radius; dy += s.stride) {
-            // Lines beyond the frame are not in the ring; their weight is 0.
-            const float *line = y + dy >= 0 && y + dy < s.height ? w.ring(s, source, y + dy) + column : own;
-            for (int dx = -s.radius; dx <= s.radius; dx += s.stride, ++n) {
-                const size_t at = n * kRun + i;
-                const float *row = t.weight[at] > 0.0f ? line + ptrdiff_t(dx) * s.slots : own;
-                w.taps[n] = {row + t.slot[at], t.fraction[at], t.weight[at], t.product[at]};
-            }
+        for (n = 0; n < size_t(taps); ++n)
+            w.offset[n] = (t.weight[n * kRun + i] > 0.0f ? w.place[n] : own) + t.slot[n * kRun + i];
+        for (size_t source = 0; source < views.size(); ++source) {
+            const View &v = views[source];
+            if (!(v.visible[p] > s.least)) continue;
+            m.mass = t.mass[i], m.own = t.variance[i] + v.noise, m.noise = v.noise, m.weight = v.visible[p];
+            m.right = float(v.width - 1), m.bottom = float(v.height - 1);
+            for (int c = 0; c < 3; ++c) m.move[c] = v.map[9 + c] * s.step;
+            v.place(x + i, y, s.depth[p] - float(s.labels / 2) * s.step, m.start);
+            correlate(w.ring(s, source) + size_t(x + i - x0) * s.slots, w.offset.data(), &t.weight[i], &t.product[i],
+                      &t.fraction[i], m, &w.total[size_t(i) * s.labels]);
         }
-        for (; n < size_t(taps); ++n) w.taps[n] = {own, 0.0f, 0.0f, 0.0f};
-        m.mass = t.mass[i], m.own = t.variance[i] + v.noise, m.weight = v.visible[p];
-        v.place(x + i, y, s.depth[p] - float(s.labels / 2) * s.step, m.start);
-        correlate(w.taps.data(), m, &w.total[size_t(i) * s.labels]);
     }
 }
 
@@ -191,7 +192,8 @@ void match_tile(const Band &s, const std::vector<View> &views, int x0, int y0, i
         const int newest = std::min(s.height, y + s.radius + 1);
         for (int line = y == y0 ? std::max(0, y - s.radius) : y + s.radius; line < newest; ++line)
             for (size_t n = 0; n < views.size(); ++n)
-                sample_line(s, views[n], line, left, right, w.ring(s, n, line) + size_t(left - x0 + s.radius) * s.slots);
+                sample_line(s, views[n], line, left, right,
+                            w.ring(s, n) + w.line(s, line) + (left - x0 + s.radius) * s.slots);
         for (int x = x0; x < x1; x += kRun) {
             const int width = std::min(kRun, x1 - x);
             const size_t p = size_t(y) * s.width + x;
@@ -201,7 +203,7 @@ void match_tile(const Band &s, const std::vector<View> &views, int x0, int y0, i
             std::fill(w.total.begin(), w.total.end(), 0.0f);
             if (seen) {
                 collect(s, y, x, width, w.patches);
-                for (size_t n = 0; n < views.size(); ++n) match_run(s, views[n], n, y, x, width, x0 - s.radius, taps, w);
+                match_run(s, views, y, x, width, x0 - s.radius, taps, w);
             }
             for (int i = 0; i < width; ++i)
                 store(s, views, p + i, &w.total[size_t(i) * s.labels], out + (p + i) * s.labels);

@@ -26,7 +26,7 @@ U16 = NDArray[np.uint16]
 
 UNIT = 2048
 """A cost of 1 in the fixed point of the result."""
-REACH = 16
+REACH = 8
 """Labels beyond the band on both sides that a pixel's row holds."""
 LEAST_VISIBLE = 0.01
 """Share of visibility below which a source is not asked."""
