@@ -24,14 +24,13 @@ namespace {
 constexpr int kMaxLabels = 128, kMaxTaps = 441;
 constexpr int kGroup = 5;  // taps that are summed together
 constexpr int kTile = 2 * kRun, kTileLines = 64;
-constexpr float kImageUnit = 256.0f;  // a source's grey levels as 8.8 fixed point
 
 struct View {
     int height, width;
-    std::vector<uint32_t> pairs;  // [Hs, Ws] a pixel's grey level, and its right neighbour's in the upper half
-    std::vector<uint8_t> wanted;  // [H, W] whether a patch reads the pixel's row
-    const float *visible;         // [H, W] 0..1
-    float map[12];                // A row-major, then b: p = A (x, y, 1) + b w
+    std::vector<uint32_t> squares;  // [Hs, Ws] grey levels of a pixel, its right, lower and lower right neighbour
+    std::vector<uint8_t> wanted;    // [H, W] whether a patch reads the pixel's row
+    const float *visible;           // [H, W] 0..1
+    float map[12];                  // A row-major, then b: p = A (x, y, 1) + b w
     float noise;
 
     // p at inverse depth w
@@ -44,7 +43,7 @@ struct View {
 // ---- rows of slots -------------------------------------------------------------------------------------------------
 
 // Samples at p = start + k * move, k < slots; beyond its rim a picture goes on as it is there.
-LFRIG_CLONES void sample(const uint32_t *__restrict pairs, int width, float right, float bottom, const float *start,
+LFRIG_CLONES void sample(const uint32_t *__restrict squares, int width, float right, float bottom, const float *start,
                          const float *move, int slots, float *__restrict row) {
     const float x0 = start[0], y0 = start[1], z0 = start[2], xs = move[0], ys = move[1], zs = move[2];
     for (int k = 0; k < slots; ++k) {
@@ -56,11 +55,11 @@ LFRIG_CLONES void sample(const uint32_t *__restrict pairs, int width, float righ
         v = v < bottom ? v : bottom;
         const int iu = int(u), iv = int(v), p = iv * width + iu;
         const float fu = u - float(iu), fv = v - float(iv);
-        const uint32_t upper = pairs[p], lower = pairs[p + width];
-        const float a = float(int(upper & 0xffffu)), b = float(int(upper >> 16));
-        const float c = float(int(lower & 0xffffu)), d = float(int(lower >> 16));
+        const uint32_t four = squares[p];
+        const float a = float(int(four & 0xffu)), b = float(int((four >> 8) & 0xffu));
+        const float c = float(int((four >> 16) & 0xffu)), d = float(int(four >> 24));
         const float top = a + fu * (b - a), low = c + fu * (d - c);
-        row[k] = (top + fv * (low - top)) * (1.0f / kImageUnit);
+        row[k] = top + fv * (low - top);
     }
 }
 
@@ -73,7 +72,7 @@ void sample_line(const Band &s, const View &v, int y, int x0, int x1, float *row
         if (!v.wanted[i]) continue;
         float start[3];
         v.place(x, y, s.depth[i] - float(s.reach + s.labels / 2) * s.step, start);
-        sample(v.pairs.data(), v.width, right, bottom, start, move, s.slots, rows);
+        sample(v.squares.data(), v.width, right, bottom, start, move, s.slots, rows);
     }
 }
 
@@ -211,16 +210,18 @@ void match_tile(const Band &s, const std::vector<View> &views, int x0, int y0, i
     }
 }
 
-// Grey levels in pairs, as fixed point; NaN is black.
-std::vector<uint32_t> paired(const float *image, int height, int width) {
+// Grey levels of every square of four pixels, as bytes: one read per sample. NaN is black.
+std::vector<uint32_t> squared(const float *image, int height, int width) {
     std::vector<uint32_t> out(size_t(height) * width);
     for (int y = 0; y < height; ++y)
         for (int x = 0; x < width; ++x) {
             const size_t p = size_t(y) * width + x;
-            const float level = image[p] * kImageUnit + 0.5f;
-            const uint32_t held = level > 0.0f ? uint32_t(level < 65535.0f ? level : 65535.0f) : 0;
+            const float level = image[p] + 0.5f;
+            const uint32_t held = level > 0.0f ? uint32_t(level < 255.0f ? level : 255.0f) : 0;
             out[p] |= held;
-            if (x > 0) out[p - 1] |= held << 16;
+            if (x > 0) out[p - 1] |= held << 8;
+            if (y > 0) out[p - width] |= held << 16;
+            if (x > 0 && y > 0) out[p - width - 1] |= held << 24;
         }
     return out;
 }
@@ -295,7 +296,7 @@ void band_cost(F2 photo, U3 guide, const std::vector<F2> &images, const std::vec
         v.height = int(images[size_t(n)].shape(0)), v.width = int(images[size_t(n)].shape(1));
         v.visible = visible[size_t(n)].data(), v.noise = noises[size_t(n)];
         std::copy(maps[size_t(n)].data(), maps[size_t(n)].data() + 12, v.map);
-        v.pairs = paired(images[size_t(n)].data(), v.height, v.width);
+        v.squares = squared(images[size_t(n)].data(), v.height, v.width);
         v.wanted = reached(v.visible, least, s.height, s.width, radius);
     });
     lfrig::parallel_for(across * down, threads, [&](int tile) {

@@ -46,9 +46,9 @@ class Patch:
 
 @dataclass(frozen=True)
 class View:
-    """What a source shows: ``grey`` float32 [Hs, Ws], grey levels 0..255 of its centre view; ``visible`` float32
-    [H, W], how far it sees the surface, 0..1; ``projection`` (A, b), float64 [3, 3] and [3], of photo pixels into it
-    (`geometry.projection`); ``noise``, the variance that counts as no texture [grey levels²].
+    """What a source shows: ``grey`` float32 [Hs, Ws], grey levels 0..255 of its centre view, which count as whole ones;
+    ``visible`` float32 [H, W], how far it sees the surface, 0..1; ``projection`` (A, b), float64 [3, 3] and [3], of
+    photo pixels into it (`geometry.projection`); ``noise``, the variance that counts as no texture [grey levels²].
     """
 
     grey: F32
@@ -186,11 +186,12 @@ def _cost_in(view: View, taps: Sequence[_Tap], own: tuple[F32, F32, F32], w: F32
     """
     a, b = view.flat[:9].reshape(3, 3), view.flat[9:]
     ys, xs = np.mgrid[0 : w.shape[0], 0 : w.shape[1]].astype(np.float32)
+    grey = np.floor(np.clip(np.nan_to_num(view.grey, nan=0.0) + np.float32(0.5), 0, 255))
     rows = np.empty((*w.shape, labels + 2 * REACH), np.float32)
     shown = np.zeros(rows.shape, bool)
     for k in range(rows.shape[2]):
         u, v, z = _carry(a, b, xs, ys, w + np.float32((k - REACH - labels // 2) * step))
-        rows[..., k] = _bilinear(view.grey, u, v)
+        rows[..., k] = _bilinear(grey, u, v)
         size = view.grey.shape
         shown[..., k] = (z > 1e-6) & (u >= 0) & (v >= 0) & (u <= size[1] - 1) & (v <= size[0] - 1)
     mass, mean, variance = own
