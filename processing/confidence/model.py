@@ -44,10 +44,11 @@ class Curve:
 
     def __call__(self, values: F32) -> F32:
         """The curve at ``values``, float32 of the same shape."""
-        inner = np.interp(values, self.x, self.y)
-        below, above = np.minimum(values - self.x[0], 0), np.maximum(values - self.x[-1], 0)
+        out = np.interp(values, self.x, self.y).astype(np.float32)
         first, last = ((self.y[i + 1] - self.y[i]) / (self.x[i + 1] - self.x[i]) for i in (0, -2))
-        return np.asarray(inner + first * below + last * above, np.float32)
+        out += np.float32(first) * np.minimum(values - np.float32(self.x[0]), np.float32(0))
+        out += np.float32(last) * np.maximum(values - np.float32(self.x[-1]), np.float32(0))
+        return out
 
 
 @dataclass(frozen=True)
