@@ -1,0 +1,22 @@
+// Which hand-written form of a loop this machine can run. Each has a plain form beside it that gives the same bits.
+#pragma once
+
+#if defined(__x86_64__) && defined(__GNUC__)
+#define LFRIG_X86 1
+#define LFRIG_AVX512 __attribute__((target("arch=x86-64-v4")))
+#include <immintrin.h>
+#endif
+
+namespace lfrig {
+
+inline bool has_avx512() {
+#ifdef LFRIG_X86
+    static const bool has = __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512bw") &&
+                            __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512vl");
+    return has;
+#else
+    return false;
+#endif
+}
+
+}  // namespace lfrig
