@@ -6,6 +6,7 @@ namespace nb = nanobind;
 void register_band_cost(nb::module_ &m);
 void register_colour_evidence(nb::module_ &m);
 void register_fusion(nb::module_ &m);
+void register_layered_views(nb::module_ &m);
 void register_lenslet(nb::module_ &m);
 void register_plane_cost(nb::module_ &m);
 void register_plane_fit(nb::module_ &m);
@@ -20,6 +21,7 @@ NB_MODULE(_native, m) {
     register_band_cost(m);
     register_colour_evidence(m);
     register_fusion(m);
+    register_layered_views(m);
     register_lenslet(m);
     register_plane_cost(m);
     register_plane_fit(m);

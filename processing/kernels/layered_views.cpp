@@ -1,0 +1,238 @@
+// The views of a light field from its centre view, the centre's disparity and its two layers. Twin: layered_views.py.
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+
+#include <algorithm>
+#include <atomic>
+#include <cmath>
+#include <cstdint>
+#include <limits>
+#include <stdexcept>
+#include <vector>
+
+#include "lfrig/parallel.hpp"
+#include "lfrig/spline_filter.hpp"
+#include "pair_sampling.hpp"
+#include "view_field.hpp"
+
+namespace nb = nanobind;
+using nb::ndarray;
+using namespace lfrig;
+
+namespace {
+
+constexpr int POLISH_ROUNDS = 2, FAR_ROUNDS = 6;
+
+struct Layers {
+    const Surface &behind, &near_px;
+    const SplinePicture &far, &near;
+    const uint8_t *far_drawn;      // bool [height, width]
+    std::vector<int32_t> near_at;  // pixels that are drawn as near layer, as indices
+};
+
+// The photo, sampled row by row: 8 bits from fixed point, 16 bits from the coefficients themselves.
+struct Photo8 {
+    PairPicture pairs;
+
+    explicit Photo8(const SplinePicture &photo) : pairs(photo.height, photo.width, SPLINE_PAD) {
+        for (int y = 0; y < photo.height; ++y) pairs.set_row(y, photo.data.data() + size_t(y) * photo.width * 4);
+    }
+    void row(const float *field, float dr, float dc, int y, int count, uint8_t *out) const {
+        sample_pairs_row(pairs, spline_taps(), field, dr, dc, y, count, out);
+    }
+};
+
+struct Photo16 {
+    const SplinePicture &photo;
+
+    explicit Photo16(const SplinePicture &photo) : photo(photo) {}
+    void row(const float *field, float dr, float dc, int y, int count, uint16_t *out) const {
+        sample_float_row(photo.data.data(), photo.height, photo.width, SPLINE_PAD, spline_weights, field, dr, dc, y,
+                         count, 257.0f, out);
+    }
+};
+
+inline void sample(const SplinePicture &picture, float x, float y, float out[4]) {
+    sample_four(picture.data.data(), picture.height, picture.width, spline_weights, x + float(SPLINE_PAD),
+                y + float(SPLINE_PAD), out);
+}
+
+template <class T>
+inline void write(const float grey[3], T *out) {
+    constexpr float scale = sizeof(T) == 1 ? 1.0f : 257.0f, limit = sizeof(T) == 1 ? 255.0f : 65535.0f;
+    for (int c = 0; c < 3; ++c) out[c] = T(std::min(std::max(grey[c] * scale, 0.0f), limit) + 0.5f);
+}
+
+// One view at a time.
+template <class T, class Photo>
+struct Painter {
+    const Photo &photo;
+    const Layers &layers;
+    FieldKnobs knobs;
+    int height, width;
+    ViewField field;
+
+    Painter(const Photo &photo, const Layers &layers, const FieldSource &source)
+        : photo(photo), layers(layers), knobs(source.knobs), height(source.surface.height),
+          width(source.surface.width), field(source) {}
+
+    void paint(float dr, float dc, T *out) {
+        field.find(dr, dc);
+        for (int y = 0; y < height; ++y) photo.row(field.row(y), dr, dc, y, width, out + size_t(y) * width * 3);
+        paint_far(dr, dc, out);
+        paint_near_edges(dr, dc, out);
+    }
+
+    // The far layer where the photo shows no surface, and where its own colour is mixed.
+    void paint_far(float dr, float dc, T *out) const {
+        for (size_t i = 0; i < field.xs().size(); ++i) {
+            const int x = field.xs()[i], y = field.ys()[i];
+            const float own = field.values()[i];
+            const bool hidden = field.hidden()[i] != 0;
+            if (!hidden && !far_drawn_at(float(x) + dc * own, float(y) + dr * own)) continue;
+            const float behind = far_px(x, y, dr, dc, own, FAR_ROUNDS - POLISH_ROUNDS);
+            if (!hidden && !(std::fabs(behind - own) < knobs.hidden_px)) continue;
+            float grey[4];
+            sample(layers.far, float(x) + dc * behind, float(y) + dr * behind, grey);
+            write(grey, out + (size_t(y) * width + x) * 3);
+        }
+    }
+
+    // A near surface's edge over the far layer, unless something nearer stands before it.
+    void paint_near_edges(float dr, float dc, T *out) {
+        float *z = field.z_row(0);
+        const int stride = field.stride();
+        for (const int32_t at : layers.near_at) {
+            const float d = near_disparity(at);
+            splat_pixel(z, stride, landing(at, d, dr, dc), d);
+        }
+        for (const int32_t at : layers.near_at) {
+            const Covered covered = landing(at, near_disparity(at), dr, dc);
+            for (int y = covered.y0; y <= covered.y1; ++y)
+                for (int x = covered.x0; x <= covered.x1; ++x) {
+                    float &carried = z[ptrdiff_t(y) * stride + x];
+                    const float found = carried;
+                    carried = -std::numeric_limits<float>::infinity();
+                    if (x < 0 || x >= width || y < 0 || y >= height) continue;
+                    if (found > field.row(y)[x] - knobs.hidden_px) paint_edge(x, y, dr, dc, found, out);
+                }
+        }
+    }
+
+  private:
+    float near_disparity(int32_t at) const {
+        return layers.near_px.data[size_t(at / width) * layers.near_px.stride + at % width];
+    }
+    Covered landing(int32_t at, float d, float dr, float dc) const {
+        return {float(at % width) - dc * d, float(at / width) - dr * d, height, width};
+    }
+    float far_px(int x, int y, float dr, float dc, float start, int rounds) const {
+        for (int round = 0; round < rounds; ++round)
+            start = layers.behind.at(float(x) + dc * start, float(y) + dr * start);
+        return start;
+    }
+    bool far_drawn_at(float x, float y) const {
+        if (!(x > -0.5f && x < float(width) - 0.5f && y > -0.5f && y < float(height) - 0.5f)) return false;
+        const int ix = std::min(int(x + 0.5f), width - 1), iy = std::min(int(y + 0.5f), height - 1);
+        return layers.far_drawn[size_t(iy) * width + ix] != 0;
+    }
+    void paint_edge(int x, int y, float dr, float dc, float found, T *out) const {
+        const float behind = far_px(x, y, dr, dc, found, FAR_ROUNDS);
+        for (int round = 0; round < POLISH_ROUNDS; ++round) {
+            const float sample = layers.near_px.at(float(x) + dc * found, float(y) + dr * found);
+            if (std::fabs(sample - found) < knobs.match_px) found = sample;
+        }
+        float near[4], far[4];
+        sample(layers.near, float(x) + dc * found, float(y) + dr * found, near);
+        sample(layers.far, float(x) + dc * behind, float(y) + dr * behind, far);
+        const float share = std::min(std::max(near[3], 0.0f), 1.0f);
+        for (int c = 0; c < 3; ++c) near[c] = share * near[c] + (1.0f - share) * far[c];
+        write(near, out + (size_t(y) * width + x) * 3);
+    }
+};
+
+template <int N>
+using Floats = ndarray<const float, nb::ndim<N>, nb::c_contig, nb::device::cpu>;
+using Flags = ndarray<const uint8_t, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
+
+template <class A>
+void check(const A &array, int height, int width, int channels = 0) {
+    if (int(array.shape(0)) != height || int(array.shape(1)) != width ||
+        (channels && int(array.shape(2)) != channels))
+        throw std::invalid_argument("layered_views: shapes do not match");
+}
+
+// Returns the number of pixels, over all views, that were near steps.
+template <class T, class Photo>
+int64_t layered_views(ndarray<const T, nb::ndim<3>, nb::c_contig, nb::device::cpu> image, Floats<2> disparity,
+                      Floats<2> behind, Floats<3> far_grey, Floats<2> near_px, Floats<3> near_grey, Flags near_drawn,
+                      Flags far_drawn, Floats<2> offsets,
+                      ndarray<T, nb::ndim<4>, nb::c_contig, nb::device::cpu> out, float match_px, float hidden_px,
+                      bool certain, int threads) {
+    const int height = int(image.shape(0)), width = int(image.shape(1)), views = int(offsets.shape(0));
+    check(image, height, width, 3), check(disparity, height, width), check(behind, height, width);
+    check(far_grey, height, width, 3), check(near_px, height, width), check(near_grey, height, width, 4);
+    check(near_drawn, height, width), check(far_drawn, height, width);
+    if (offsets.shape(1) != 2 || int(out.shape(0)) != views || int(out.shape(1)) != height ||
+        int(out.shape(2)) != width || out.shape(3) != 3)
+        throw std::invalid_argument("layered_views: shapes do not match");
+    if (height == 0 || width == 0 || views == 0) return 0;
+    const T *pixels = image.data();
+    const float *far = far_grey.data(), *near = near_grey.data(), *offset = offsets.data(), *d = disparity.data();
+    const uint8_t *near_flag = near_drawn.data(), *far_flag = far_drawn.data();
+    T *to = out.data();
+    nb::gil_scoped_release release;
+    const size_t row = size_t(width);
+    const float scale = sizeof(T) == 1 ? 1.0f : 1.0f / 257.0f;
+    const SplinePicture photo(height, width, [=](int y, int x, float *p) {
+        for (int c = 0; c < 3; ++c) p[c] = float(pixels[(y * row + x) * 3 + c]) * scale;
+        p[3] = 0.0f;
+    });
+    const SplinePicture far_colours(height, width, [=](int y, int x, float *p) {
+        std::copy_n(far + (y * row + x) * 3, 3, p);
+        p[3] = 0.0f;
+    });
+    const SplinePicture near_colours(height, width,
+                                     [=](int y, int x, float *p) { std::copy_n(near + (y * row + x) * 4, 4, p); });
+    const Surface behind_px(behind.data(), height, width), near_surface(near_px.data(), height, width);
+    Layers layers{behind_px, near_surface, far_colours, near_colours, far_flag, {}};
+    for (int i = 0; i < height * width; ++i)
+        if (near_flag[i]) layers.near_at.push_back(i);
+    float reach_rows = 0.0f, reach_cols = 0.0f;
+    for (int v = 0; v < views; ++v) {
+        reach_rows = std::max(reach_rows, std::fabs(offset[2 * v]));
+        reach_cols = std::max(reach_cols, std::fabs(offset[2 * v + 1]));
+    }
+    const FieldSource source(d, far_flag, height, width, reach_rows, reach_cols, {match_px, hidden_px, certain});
+    const Photo sampled(photo);
+    std::vector<int64_t> near_steps(views);
+    // As many items as threads, each with its own memory; which thread draws a view does not change it.
+    std::atomic<int> next{0};
+    const int painters = std::min(views, threads > 0 ? threads : int(std::max(1u, std::thread::hardware_concurrency())));
+    parallel_for(painters, painters, [&](int) {
+        Painter<T, Photo> painter(sampled, layers, source);
+        for (int v; (v = next.fetch_add(1)) < views;) {
+            painter.paint(offset[2 * v], offset[2 * v + 1], to + size_t(v) * height * width * 3);
+            near_steps[v] = int64_t(painter.field.xs().size());
+        }
+    });
+    int64_t total = 0;
+    for (const int64_t count : near_steps) total += count;
+    return total;
+}
+
+template <class T, class Photo>
+void define(nb::module_ &m) {
+    m.def("layered_views", &layered_views<T, Photo>, nb::arg("image").noconvert(), nb::arg("disparity").noconvert(),
+          nb::arg("behind").noconvert(), nb::arg("far_grey").noconvert(), nb::arg("near_px").noconvert(),
+          nb::arg("near_grey").noconvert(), nb::arg("near_drawn").noconvert(), nb::arg("far_drawn").noconvert(),
+          nb::arg("offsets").noconvert(), nb::arg("out").noconvert(), nb::arg("match_px"), nb::arg("hidden_px"),
+          nb::arg("certain"), nb::arg("threads"));
+}
+
+}  // namespace
+
+void register_layered_views(nb::module_ &m) {
+    define<uint8_t, Photo8>(m);
+    define<uint16_t, Photo16>(m);
+}

@@ -1,0 +1,349 @@
+#include "view_field.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+#include <limits>
+
+#include "lfrig/cpu.hpp"
+#include "lfrig/parallel.hpp"
+
+namespace lfrig {
+
+namespace {
+
+constexpr int LANES = 16;
+constexpr float NOTHING = -std::numeric_limits<float>::infinity();
+constexpr float CONTRACTION = 0.25f;   // of a step of the fixed-point iteration, where the surface counts as smooth
+constexpr float SMOOTH_PX = 0.1f;      // neighbours that differ by more are never smooth
+constexpr float SETTLED_PX = 0.01f;    // the iteration is over when no sample moves by more in the photo
+constexpr int SETTLE_ROUNDS = 5, POLISH_ROUNDS = 3, HOLE_ROUNDS = 8;
+
+// Fixed-point iteration g <- d(u + g * offset) on LANES pixels of row y from x0, starting from the centre's disparity,
+// until every pixel that is not masked moves by at most `limit`. Writes the field; pixels that do not settle are masked.
+inline void settle_plain(const Surface &d, int x0, int y, int count, float dr, float dc, float limit, float *field,
+                         uint8_t *mask) {
+    float g[LANES], moved[LANES];
+    for (int i = 0; i < count; ++i) g[i] = d.data[size_t(y) * d.stride + x0 + i];
+    for (int round = 0; round < SETTLE_ROUNDS; ++round) {
+        bool more = false;
+        for (int i = 0; i < count; ++i) {
+            const float sample = d.at(float(x0 + i) + dc * g[i], float(y) + dr * g[i]);
+            moved[i] = std::fabs(sample - g[i]);
+            g[i] = sample;
+            more |= !mask[i] && moved[i] > limit;
+        }
+        if (!more) break;
+    }
+    for (int i = 0; i < count; ++i) {
+        field[i] = g[i];
+        mask[i] |= uint8_t(moved[i] > limit);
+    }
+}
+
+LFRIG_CLONES void settle_row_plain(const Surface &d, int y, float dr, float dc, float limit, float *field,
+                                   uint8_t *mask) {
+    for (int x0 = 0; x0 < d.width; x0 += LANES) {
+        const int count = std::min(LANES, d.width - x0);
+        settle_plain(d, x0, y, count, dr, dc, limit, field + x0, mask + x0);
+    }
+}
+
+#ifdef LFRIG_X86
+// Surface::at for 16 pixels that lie next to one another: their samples come from two or three rows of 32 pixels.
+// Returns false, with nothing done, where they do not.
+LFRIG_AVX512 inline bool look_up_run(const Surface &d, __m512 x, __m512 y, __m512 *out) {
+    const __m512 zero = _mm512_setzero_ps();
+    x = _mm512_min_ps(_mm512_max_ps(x, zero), _mm512_set1_ps(float(d.width - 1)));
+    y = _mm512_min_ps(_mm512_max_ps(y, zero), _mm512_set1_ps(float(d.height - 1)));
+    const __m512i ix = _mm512_cvttps_epi32(x), iy = _mm512_cvttps_epi32(y);
+    const int first = std::max(0, _mm_cvtsi128_si32(_mm512_castsi512_si128(ix)) - 6);
+    const int top = _mm_cvtsi128_si32(_mm512_castsi512_si128(iy));
+    const __m512i column = _mm512_sub_epi32(ix, _mm512_set1_epi32(first));
+    if (_mm512_cmpgt_epu32_mask(column, _mm512_set1_epi32(30))) return false;
+    const __m512 tx = _mm512_sub_ps(x, _mm512_cvtepi32_ps(ix)), ty = _mm512_sub_ps(y, _mm512_cvtepi32_ps(iy));
+    const __m512i next = _mm512_add_epi32(column, _mm512_set1_epi32(1));
+    const __m512i row = _mm512_sub_epi32(iy, _mm512_set1_epi32(top));
+    const __mmask16 above = _mm512_cmplt_epi32_mask(row, _mm512_setzero_si512());
+    const __mmask16 below = _mm512_cmpgt_epi32_mask(row, _mm512_setzero_si512());
+    if (above && below) return false;
+    if (_mm512_cmpgt_epu32_mask(_mm512_abs_epi32(row), _mm512_set1_epi32(1))) return false;
+    const float *from = d.data.data() + ptrdiff_t(top - (above ? 1 : 0)) * d.stride + first;
+    const auto blend = [&](const float *p) __attribute__((target("arch=x86-64-v4"), always_inline)) {
+        const __m512 low = _mm512_loadu_ps(p), high = _mm512_loadu_ps(p + 16);
+        const __m512 a = _mm512_permutex2var_ps(low, column, high), b = _mm512_permutex2var_ps(low, next, high);
+        return _mm512_add_ps(a, _mm512_mul_ps(tx, _mm512_sub_ps(b, a)));
+    };
+    __m512 upper = blend(from), lower = blend(from + d.stride);
+    if (above || below) {
+        const __m512 last = blend(from + 2 * d.stride);
+        const __mmask16 one_down = above ? __mmask16(~above) : below;
+        upper = _mm512_mask_mov_ps(upper, one_down, lower);
+        lower = _mm512_mask_mov_ps(lower, one_down, last);
+    }
+    *out = _mm512_add_ps(upper, _mm512_mul_ps(ty, _mm512_sub_ps(lower, upper)));
+    return true;
+}
+
+LFRIG_AVX512 void settle_row_avx512(const Surface &d, int y, float dr, float dc, float limit, float *field,
+                                    uint8_t *mask) {
+    const __m512 lane = _mm512_setr_ps(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
+    const __m512 rows = _mm512_set1_ps(dr), cols = _mm512_set1_ps(dc), fy = _mm512_set1_ps(float(y));
+    const float *centre = d.data.data() + size_t(y) * d.stride;
+    for (int x0 = 0; x0 < d.width; x0 += LANES) {
+        const int count = std::min(LANES, d.width - x0);
+        const __mmask16 live = __mmask16((1u << count) - 1u);
+        const __m128i known = _mm_maskz_loadu_epi8(live, mask + x0);
+        const __mmask16 open = live & _mm_cmpeq_epi8_mask(known, _mm_setzero_si128());
+        if (!open) continue;
+        const __m512 fx = _mm512_add_ps(_mm512_set1_ps(float(x0)), lane);
+        __m512 g = _mm512_maskz_loadu_ps(live, centre + x0);
+        __mmask16 moving = 0;
+        bool together = true;
+        for (int round = 0; round < SETTLE_ROUNDS; ++round) {
+            __m512 sample;
+            const __m512 x = _mm512_add_ps(fx, _mm512_mul_ps(cols, g)), v = _mm512_add_ps(fy, _mm512_mul_ps(rows, g));
+            together = look_up_run(d, x, v, &sample);
+            if (!together) break;
+            const __m512 moved = _mm512_abs_ps(_mm512_sub_ps(sample, g));
+            g = sample;
+            moving = live & _mm512_cmp_ps_mask(moved, _mm512_set1_ps(limit), _CMP_GT_OQ);
+            if (!(moving & open)) break;
+        }
+        if (!together) {
+            settle_plain(d, x0, y, count, dr, dc, limit, field + x0, mask + x0);
+            continue;
+        }
+        _mm512_mask_storeu_ps(field + x0, live, g);
+        if (moving) _mm_mask_storeu_epi8(mask + x0, moving, _mm_set1_epi8(1));
+    }
+}
+#endif
+
+void settle_row(const Surface &d, int y, float dr, float dc, float limit, float *field, uint8_t *mask) {
+#ifdef LFRIG_X86
+    if (has_avx512()) return settle_row_avx512(d, y, dr, dc, limit, field, mask);
+#endif
+    settle_row_plain(d, y, dr, dc, limit, field, mask);
+}
+
+// Surface::at for a list of pixels of a view.
+LFRIG_CLONES void look_up(const float *__restrict data, int height, int width, int stride,
+                          const int32_t *__restrict xs, const int32_t *__restrict ys, const float *__restrict field,
+                          int count, float dr, float dc, float *__restrict out) {
+    const float right = float(width - 1), bottom = float(height - 1);
+    for (int i = 0; i < count; ++i) {
+        float x = float(xs[i]) + dc * field[i], y = float(ys[i]) + dr * field[i];
+        x = x > 0.0f ? x : 0.0f, y = y > 0.0f ? y : 0.0f;
+        x = x < right ? x : right, y = y < bottom ? y : bottom;
+        const int ix = int(x), iy = int(y), at = iy * stride + ix;
+        const float tx = x - float(ix), ty = y - float(iy);
+        const float a = data[at] + tx * (data[at + 1] - data[at]);
+        const float b = data[at + stride] + tx * (data[at + stride + 1] - data[at + stride]);
+        out[i] = a + ty * (b - a);
+    }
+}
+
+// out |= mask, moved by every (dy, dx) of a box; both uint8 [height, stride].
+LFRIG_CLONES void widen(const uint8_t *__restrict mask, int height, int width, int stride, int top, int bottom, int left,
+                        int right, uint8_t *__restrict across, uint8_t *__restrict out) {
+    for (int y = 0; y < height; ++y) {
+        const uint8_t *from = mask + size_t(y) * stride;
+        uint8_t *to = across + size_t(y) * stride;
+        std::memset(to, 0, stride);
+        for (int dx = left; dx <= right; ++dx) {
+            const int begin = std::max(0, dx), end = std::min(width, width + dx);
+            for (int x = begin; x < end; ++x) to[x] |= from[x - dx];
+        }
+    }
+    for (int y = 0; y < height; ++y) {
+        uint8_t *to = out + size_t(y) * stride;
+        std::memset(to, 0, stride);
+        for (int dy = top; dy <= bottom; ++dy) {
+            if (y - dy < 0 || y - dy >= height) continue;
+            const uint8_t *from = across + size_t(y - dy) * stride;
+            for (int x = 0; x < stride; ++x) to[x] |= from[x];
+        }
+    }
+}
+
+float middle_of(const float *values, int count) {
+    std::vector<float> some;
+    const int step = std::max(1, count / 4096);
+    for (int i = 0; i < count; i += step) some.push_back(values[i]);
+    std::nth_element(some.begin(), some.begin() + some.size() / 2, some.end());
+    return some[some.size() / 2];
+}
+
+}  // namespace
+
+Surface::Surface(const float *values, int rows, int cols)
+    : height(rows), width(cols), stride(cols + 1), data(size_t(rows + 1) * (cols + 1) + 3 * (cols + 1) + 64) {
+    for (int y = 0; y <= height; ++y) {
+        float *to = data.data() + size_t(y) * stride;
+        std::memcpy(to, values + size_t(std::min(y, height - 1)) * width, sizeof(float) * width);
+        to[width] = to[width - 1];
+    }
+}
+
+FieldSource::FieldSource(const float *disparity, const uint8_t *marked, int height, int width, float reach_rows,
+                         float reach_cols, FieldKnobs with)
+    : surface(disparity, height, width), knobs(with), middle(middle_of(disparity, height * width)) {
+    lowest = *std::min_element(disparity, disparity + size_t(height) * width);
+    highest = *std::max_element(disparity, disparity + size_t(height) * width);
+    if (!knobs.certain) return;
+    for (int y = 0; y < height; ++y)
+        for (int x = 0; x < width; ++x) {
+            const float *p = surface.data.data() + size_t(y) * surface.stride + x, *q = p + surface.stride;
+            const float across = std::max(std::fabs(p[1] - p[0]), std::fabs(q[1] - q[0]));
+            const float down = std::max(std::fabs(q[0] - p[0]), std::fabs(q[1] - p[1]));
+            const bool steep = across * reach_cols + down * reach_rows > CONTRACTION || std::max(across, down) > SMOOTH_PX;
+            if (!steep && !marked[size_t(y) * width + x]) continue;
+            const float infinite = std::numeric_limits<float>::infinity();
+            const bool always = marked[size_t(y) * width + x] != 0;
+            cells.push_back({x, y, always ? infinite : across, down, std::min({p[0], p[1], q[0], q[1]}),
+                             std::max({p[0], p[1], q[0], q[1]})});
+        }
+}
+
+ViewField::ViewField(const FieldSource &source)
+    : source_(source), height_(source.surface.height), width_(source.surface.width), stride_(width_ + 2),
+      mask_stride_((width_ + 63) / 64 * 64) {
+    field_.assign(size_t(height_ + 2) * stride_, NOTHING);
+    z_.assign(field_.size(), NOTHING);
+    mask_.assign(size_t(height_) * mask_stride_, 0);
+    wanted_.assign(mask_.size(), 0);
+}
+
+void ViewField::find(float dr, float dc) {
+    if (source_.knobs.certain) {
+        mark_steps(dr, dc);
+        settle_smooth(dr, dc);
+    } else {
+        std::fill(mask_.begin(), mask_.end(), uint8_t(1));
+    }
+    list_marked();
+    if (xs_.empty()) return;
+    splat(dr, dc);
+    fill_holes();
+    polish(dr, dc);
+}
+
+// A pixel of the view has one smooth surface before it unless a ray through it meets a steep cell at a disparity that
+// the cell has: only there can d(u + g * offset) = g have several solutions, or one that the iteration does not find.
+void ViewField::mark_steps(float dr, float dc) {
+    std::fill(mask_.begin(), mask_.end(), uint8_t(0));
+    for (const SteepCell &cell : source_.cells) {
+        const bool steep = cell.across * std::fabs(dc) + cell.down * std::fabs(dr) > CONTRACTION ||
+                           std::max(cell.across, cell.down) > SMOOTH_PX;
+        if (!steep) continue;
+        const float xa = float(cell.x) - cell.lowest * dc, xb = float(cell.x) - cell.highest * dc;
+        const float ya = float(cell.y) - cell.lowest * dr, yb = float(cell.y) - cell.highest * dr;
+        const int left = std::max(0, int(std::floor(std::max(std::min(xa, xb), 0.0f))) - 1);
+        const int right = std::min(width_ - 1, int(std::ceil(std::min(std::max(xa, xb), float(width_)))) + 2);
+        const int top = std::max(0, int(std::floor(std::max(std::min(ya, yb), 0.0f))) - 1);
+        const int bottom = std::min(height_ - 1, int(std::ceil(std::min(std::max(ya, yb), float(height_)))) + 2);
+        for (int y = top; y <= bottom && left <= right; ++y)
+            std::memset(mask_.data() + size_t(y) * mask_stride_ + left, 1, right - left + 1);
+    }
+}
+
+void ViewField::settle_smooth(float dr, float dc) {
+    const float farthest = std::max(std::max(std::fabs(dr), std::fabs(dc)), 1e-3f);
+    for (int y = 0; y < height_; ++y)
+        settle_row(source_.surface, y, dr, dc, SETTLED_PX / farthest, field_.data() + size_t(y + 1) * stride_ + 1,
+                   mask_.data() + size_t(y) * mask_stride_);
+}
+
+void ViewField::list_marked() {
+    xs_.clear(), ys_.clear();
+    for (int y = 0; y < height_; ++y) {
+        const uint8_t *row = mask_.data() + size_t(y) * mask_stride_;
+        for (int x0 = 0; x0 < width_; x0 += 8) {
+            uint64_t eight;
+            std::memcpy(&eight, row + x0, 8);
+            if (!eight) continue;
+            for (int x = x0; x < std::min(x0 + 8, width_); ++x)
+                if (row[x]) xs_.push_back(x), ys_.push_back(y);
+        }
+    }
+}
+
+void ViewField::splat(float dr, float dc) {
+    const FieldSource &s = source_;
+    // Source pixels that can land on a marked one: it lies at s - d * offset, and covers a pixel around.
+    const float x0 = std::min(s.lowest * dc, s.highest * dc), x1 = std::max(s.lowest * dc, s.highest * dc);
+    const float y0 = std::min(s.lowest * dr, s.highest * dr), y1 = std::max(s.lowest * dr, s.highest * dr);
+    const auto bounded = [](float a, int size) { return int(std::min(std::max(a, -float(size)), float(size))); };
+    across_.resize(mask_.size());
+    widen(mask_.data(), height_, width_, mask_stride_, bounded(std::floor(y0) - 1, height_),
+          bounded(std::ceil(y1) + 1, height_), bounded(std::floor(x0) - 1, width_), bounded(std::ceil(x1) + 1, width_),
+          across_.data(), wanted_.data());
+    float *z = z_row(0);
+    for (int y = 0; y < height_; ++y) {
+        const uint8_t *row = wanted_.data() + size_t(y) * mask_stride_;
+        const float *d = s.surface.data.data() + size_t(y) * s.surface.stride;
+        for (int x8 = 0; x8 < width_; x8 += 8) {
+            uint64_t eight;
+            std::memcpy(&eight, row + x8, 8);
+            if (!eight) continue;
+            for (int x = x8; x < std::min(x8 + 8, width_); ++x)
+                if (row[x])
+                    splat_pixel(z, stride_, {float(x) - dc * d[x], float(y) - dr * d[x], height_, width_}, d[x]);
+        }
+    }
+    values_.resize(xs_.size());
+    for (size_t i = 0; i < xs_.size(); ++i) {
+        const size_t at = size_t(ys_[i] + 1) * stride_ + xs_[i] + 1;
+        field_[at] = z_[at];
+    }
+    std::fill(z_.begin(), z_.end(), NOTHING);
+}
+
+// Holes grow shut from the far side: the lowest disparity next to them.
+void ViewField::fill_holes() {
+    holes_.clear();
+    for (size_t i = 0; i < xs_.size(); ++i) {
+        const int at = (ys_[i] + 1) * stride_ + xs_[i] + 1;
+        if (field_[at] == NOTHING) holes_.push_back(at);
+    }
+    for (int round = 0; round < HOLE_ROUNDS && !holes_.empty(); ++round) {
+        const float none = std::numeric_limits<float>::infinity();
+        lowest_near_.assign(holes_.size(), none);
+        for (size_t i = 0; i < holes_.size(); ++i)
+            for (int dy = -1; dy <= 1; ++dy)
+                for (int dx = -1; dx <= 1; ++dx) {
+                    const float near = field_[holes_[i] + dy * stride_ + dx];
+                    if (near != NOTHING && near < lowest_near_[i]) lowest_near_[i] = near;
+                }
+        size_t left = 0;
+        for (size_t i = 0; i < holes_.size(); ++i) {
+            if (lowest_near_[i] != none) field_[holes_[i]] = lowest_near_[i];
+            else holes_[left++] = holes_[i];
+        }
+        if (left == holes_.size()) break;
+        holes_.resize(left);
+    }
+    for (const int32_t hole : holes_)
+        if (field_[hole] == NOTHING) field_[hole] = source_.middle;
+}
+
+void ViewField::polish(float dr, float dc) {
+    const Surface &d = source_.surface;
+    const int count = int(xs_.size());
+    samples_.resize(count), hidden_.resize(count);
+    for (int i = 0; i < count; ++i) values_[i] = field_[size_t(ys_[i] + 1) * stride_ + xs_[i] + 1];
+    for (int round = 0; round <= POLISH_ROUNDS; ++round) {
+        look_up(d.data.data(), d.height, d.width, d.stride, xs_.data(), ys_.data(), values_.data(), count, dr, dc,
+                samples_.data());
+        if (round == POLISH_ROUNDS) break;
+        for (int i = 0; i < count; ++i)
+            if (std::fabs(samples_[i] - values_[i]) < source_.knobs.match_px) values_[i] = samples_[i];
+    }
+    for (int i = 0; i < count; ++i) {
+        hidden_[i] = uint8_t(samples_[i] - values_[i] > source_.knobs.hidden_px);
+        field_[size_t(ys_[i] + 1) * stride_ + xs_[i] + 1] = values_[i];
+    }
+}
+
+}  // namespace lfrig
