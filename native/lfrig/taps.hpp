@@ -72,21 +72,26 @@ inline int fixed_position(float at, int size) {
     return int(at * float(FRACTIONS) + 0.5f);
 }
 
+// The weighted sum over four by four pixels of four channels, the rows `width` pixels apart.
+inline void weigh_taps(const float *tap, int width, const float wx[4], const float wy[4], float out[4]) {
+    float column[16];
+    for (int k = 0; k < 16; ++k)
+        column[k] = (wy[0] * tap[k] + wy[1] * tap[4 * width + k]) +
+                    (wy[2] * tap[8 * width + k] + wy[3] * tap[12 * width + k]);
+    for (int c = 0; c < 4; ++c)
+        out[c] = (wx[0] * column[c] + wx[2] * column[8 + c]) + (wx[1] * column[4 + c] + wx[3] * column[12 + c]);
+}
+
 // Sample of a picture float32 [height, width, 4] at (x, y), with exact weights; positions as for fixed_position.
 inline void sample_four(const float *picture, int height, int width, Kernel kernel, float x, float y, float out[4]) {
     const float last_x = float(width - 3), last_y = float(height - 3);
     x = x > 1.0f ? x : 1.0f, y = y > 1.0f ? y : 1.0f;
     x = x < last_x ? x : last_x, y = y < last_y ? y : last_y;
     const int ix = int(x), iy = int(y);
-    float wx[4], wy[4], column[16];
+    float wx[4], wy[4];
     kernel(x - float(ix), wx);
     kernel(y - float(iy), wy);
-    const float *tap = picture + (size_t(iy - 1) * width + (ix - 1)) * 4;
-    for (int k = 0; k < 16; ++k)
-        column[k] = (wy[0] * tap[k] + wy[1] * tap[4 * width + k]) +
-                    (wy[2] * tap[8 * width + k] + wy[3] * tap[12 * width + k]);
-    for (int c = 0; c < 4; ++c)
-        out[c] = (wx[0] * column[c] + wx[2] * column[8 + c]) + (wx[1] * column[4 + c] + wx[3] * column[12 + c]);
+    weigh_taps(picture + (size_t(iy - 1) * width + (ix - 1)) * 4, width, wx, wy, out);
 }
 
 }  // namespace lfrig

@@ -52,103 +52,138 @@ struct Photo16 {
     }
 };
 
-inline void sample(const SplinePicture &picture, float x, float y, float out[4]) {
-    sample_four(picture.data.data(), picture.height, picture.width, spline_weights, x + float(SPLINE_PAD),
-                y + float(SPLINE_PAD), out);
-}
-
 template <class T>
 inline void write(const float grey[3], T *out) {
     constexpr float scale = sizeof(T) == 1 ? 1.0f : 257.0f, limit = sizeof(T) == 1 ? 255.0f : 65535.0f;
     for (int c = 0; c < 3; ++c) out[c] = T(std::min(std::max(grey[c] * scale, 0.0f), limit) + 0.5f);
 }
 
+// Pixels of a view, and the disparity at which each is drawn.
+struct Spots {
+    std::vector<int32_t> xs, ys;
+    std::vector<float> px, next, samples;
+
+    void clear() { xs.clear(), ys.clear(), px.clear(); }
+    void add(int x, int y, float value) { xs.push_back(x), ys.push_back(y), px.push_back(value); }
+    int size() const { return int(xs.size()); }
+    void keep(int to, int from) { xs[to] = xs[from], ys[to] = ys[from], px[to] = px[from]; }
+    void resize(int count) { xs.resize(count), ys.resize(count), px.resize(count); }
+
+    // px <- surface(u + px * offset), as long as it moves by less than `limit`.
+    void settle(const Surface &surface, float dr, float dc, int rounds, float limit) {
+        next.resize(px.size());
+        for (int round = 0; round < rounds; ++round) {
+            look_up(surface, xs.data(), ys.data(), px.data(), size(), dr, dc, next.data());
+            for (int i = 0; i < size(); ++i)
+                if (std::fabs(next[i] - px[i]) < limit) px[i] = next[i];
+        }
+    }
+    void sample(const SplinePicture &picture, float dr, float dc) {
+        samples.resize(4 * px.size());
+        sample_float_list(picture.data.data(), picture.height, picture.width, SPLINE_PAD, spline_taps(), xs.data(),
+                          ys.data(), px.data(), size(), dr, dc, samples.data());
+    }
+};
+
+constexpr float ANY = std::numeric_limits<float>::infinity();
+
 // One view at a time.
 template <class T, class Photo>
-struct Painter {
-    const Photo &photo;
-    const Layers &layers;
-    FieldKnobs knobs;
-    int height, width;
-    ViewField field;
-
+class Painter {
+  public:
     Painter(const Photo &photo, const Layers &layers, const FieldSource &source)
-        : photo(photo), layers(layers), knobs(source.knobs), height(source.surface.height),
-          width(source.surface.width), field(source) {}
+        : photo_(photo), layers_(layers), knobs_(source.knobs), height_(source.surface.height),
+          width_(source.surface.width), field_(source) {}
 
-    void paint(float dr, float dc, T *out) {
-        field.find(dr, dc);
-        for (int y = 0; y < height; ++y) photo.row(field.row(y), dr, dc, y, width, out + size_t(y) * width * 3);
+    // Returns the number of pixels near steps.
+    int64_t paint(float dr, float dc, T *out) {
+        field_.find(dr, dc);
+        for (int y = 0; y < height_; ++y)
+            photo_.row(field_.row(y), dr, dc, y, width_, out + size_t(y) * width_ * 3);
         paint_far(dr, dc, out);
         paint_near_edges(dr, dc, out);
+        return int64_t(field_.xs().size());
     }
 
+  private:
     // The far layer where the photo shows no surface, and where its own colour is mixed.
-    void paint_far(float dr, float dc, T *out) const {
-        for (size_t i = 0; i < field.xs().size(); ++i) {
-            const int x = field.xs()[i], y = field.ys()[i];
-            const float own = field.values()[i];
-            const bool hidden = field.hidden()[i] != 0;
+    void paint_far(float dr, float dc, T *out) {
+        far_.clear(), own_.clear();
+        for (size_t i = 0; i < field_.xs().size(); ++i) {
+            const int x = field_.xs()[i], y = field_.ys()[i];
+            const float own = field_.values()[i];
+            const bool hidden = field_.hidden()[i] != 0;
             if (!hidden && !far_drawn_at(float(x) + dc * own, float(y) + dr * own)) continue;
-            const float behind = far_px(x, y, dr, dc, own, FAR_ROUNDS - POLISH_ROUNDS);
-            if (!hidden && !(std::fabs(behind - own) < knobs.hidden_px)) continue;
-            float grey[4];
-            sample(layers.far, float(x) + dc * behind, float(y) + dr * behind, grey);
-            write(grey, out + (size_t(y) * width + x) * 3);
+            far_.add(x, y, own);
+            own_.push_back(hidden ? ANY : own);
         }
+        far_.settle(layers_.behind, dr, dc, FAR_ROUNDS - POLISH_ROUNDS, ANY);
+        int kept = 0;
+        for (int i = 0; i < far_.size(); ++i)
+            if (own_[i] == ANY || std::fabs(far_.px[i] - own_[i]) < knobs_.hidden_px) far_.keep(kept++, i);
+        far_.resize(kept);
+        far_.sample(layers_.far, dr, dc);
+        for (int i = 0; i < kept; ++i) write(far_.samples.data() + 4 * i, pixel(out, far_.xs[i], far_.ys[i]));
     }
 
     // A near surface's edge over the far layer, unless something nearer stands before it.
     void paint_near_edges(float dr, float dc, T *out) {
-        float *z = field.z_row(0);
-        const int stride = field.stride();
-        for (const int32_t at : layers.near_at) {
+        find_edges(dr, dc);
+        near_.settle(layers_.near_px, dr, dc, POLISH_ROUNDS, knobs_.match_px);
+        near_.sample(layers_.near, dr, dc);
+        far_.xs = near_.xs, far_.ys = near_.ys, far_.px = near_.px;
+        far_.settle(layers_.behind, dr, dc, FAR_ROUNDS, ANY);
+        far_.sample(layers_.far, dr, dc);
+        for (int i = 0; i < near_.size(); ++i) {
+            const float *near = near_.samples.data() + 4 * i, *far = far_.samples.data() + 4 * i;
+            const float share = std::min(std::max(near[3], 0.0f), 1.0f);
+            float both[3];
+            for (int c = 0; c < 3; ++c) both[c] = share * near[c] + (1.0f - share) * far[c];
+            write(both, pixel(out, near_.xs[i], near_.ys[i]));
+        }
+    }
+
+    void find_edges(float dr, float dc) {
+        near_.clear();
+        float *z = field_.z_row(0);
+        const int stride = field_.stride();
+        for (const int32_t at : layers_.near_at) {
             const float d = near_disparity(at);
             splat_pixel(z, stride, landing(at, d, dr, dc), d);
         }
-        for (const int32_t at : layers.near_at) {
+        for (const int32_t at : layers_.near_at) {
             const Covered covered = landing(at, near_disparity(at), dr, dc);
             for (int y = covered.y0; y <= covered.y1; ++y)
                 for (int x = covered.x0; x <= covered.x1; ++x) {
                     float &carried = z[ptrdiff_t(y) * stride + x];
                     const float found = carried;
-                    carried = -std::numeric_limits<float>::infinity();
-                    if (x < 0 || x >= width || y < 0 || y >= height) continue;
-                    if (found > field.row(y)[x] - knobs.hidden_px) paint_edge(x, y, dr, dc, found, out);
+                    carried = -ANY;  // as it was; and no pixel is found twice
+                    if (x < 0 || x >= width_ || y < 0 || y >= height_) continue;
+                    if (found > field_.row(y)[x] - knobs_.hidden_px) near_.add(x, y, found);
                 }
         }
     }
 
-  private:
     float near_disparity(int32_t at) const {
-        return layers.near_px.data[size_t(at / width) * layers.near_px.stride + at % width];
+        return layers_.near_px.data[size_t(at / width_) * layers_.near_px.stride + at % width_];
     }
     Covered landing(int32_t at, float d, float dr, float dc) const {
-        return {float(at % width) - dc * d, float(at / width) - dr * d, height, width};
-    }
-    float far_px(int x, int y, float dr, float dc, float start, int rounds) const {
-        for (int round = 0; round < rounds; ++round)
-            start = layers.behind.at(float(x) + dc * start, float(y) + dr * start);
-        return start;
+        return {float(at % width_) - dc * d, float(at / width_) - dr * d, height_, width_};
     }
     bool far_drawn_at(float x, float y) const {
-        if (!(x > -0.5f && x < float(width) - 0.5f && y > -0.5f && y < float(height) - 0.5f)) return false;
-        const int ix = std::min(int(x + 0.5f), width - 1), iy = std::min(int(y + 0.5f), height - 1);
-        return layers.far_drawn[size_t(iy) * width + ix] != 0;
+        if (!(x > -0.5f && x < float(width_) - 0.5f && y > -0.5f && y < float(height_) - 0.5f)) return false;
+        const int ix = std::min(int(x + 0.5f), width_ - 1), iy = std::min(int(y + 0.5f), height_ - 1);
+        return layers_.far_drawn[size_t(iy) * width_ + ix] != 0;
     }
-    void paint_edge(int x, int y, float dr, float dc, float found, T *out) const {
-        const float behind = far_px(x, y, dr, dc, found, FAR_ROUNDS);
-        for (int round = 0; round < POLISH_ROUNDS; ++round) {
-            const float sample = layers.near_px.at(float(x) + dc * found, float(y) + dr * found);
-            if (std::fabs(sample - found) < knobs.match_px) found = sample;
-        }
-        float near[4], far[4];
-        sample(layers.near, float(x) + dc * found, float(y) + dr * found, near);
-        sample(layers.far, float(x) + dc * behind, float(y) + dr * behind, far);
-        const float share = std::min(std::max(near[3], 0.0f), 1.0f);
-        for (int c = 0; c < 3; ++c) near[c] = share * near[c] + (1.0f - share) * far[c];
-        write(near, out + (size_t(y) * width + x) * 3);
-    }
+    T *pixel(T *out, int x, int y) const { return out + (size_t(y) * width_ + x) * 3; }
+
+    const Photo &photo_;
+    const Layers &layers_;
+    FieldKnobs knobs_;
+    int height_, width_;
+    ViewField field_;
+    Spots far_, near_;
+    std::vector<float> own_;
 };
 
 template <int N>
@@ -212,8 +247,8 @@ int64_t layered_views(ndarray<const T, nb::ndim<3>, nb::c_contig, nb::device::cp
     parallel_for(painters, painters, [&](int) {
         Painter<T, Photo> painter(sampled, layers, source);
         for (int v; (v = next.fetch_add(1)) < views;) {
-            painter.paint(offset[2 * v], offset[2 * v + 1], to + size_t(v) * height * width * 3);
-            near_steps[v] = int64_t(painter.field.xs().size());
+            T *view = to + size_t(v) * height * width * 3;
+            near_steps[v] = painter.paint(offset[2 * v], offset[2 * v + 1], view);
         }
     });
     int64_t total = 0;

@@ -127,8 +127,7 @@ void settle_row(const Surface &d, int y, float dr, float dc, float limit, float 
     settle_row_plain(d, y, dr, dc, limit, field, mask);
 }
 
-// Surface::at for a list of pixels of a view.
-LFRIG_CLONES void look_up(const float *__restrict data, int height, int width, int stride,
+LFRIG_CLONES void look_up_list(const float *__restrict data, int height, int width, int stride,
                           const int32_t *__restrict xs, const int32_t *__restrict ys, const float *__restrict field,
                           int count, float dr, float dc, float *__restrict out) {
     const float right = float(width - 1), bottom = float(height - 1);
@@ -184,6 +183,11 @@ Surface::Surface(const float *values, int rows, int cols)
         std::memcpy(to, values + size_t(std::min(y, height - 1)) * width, sizeof(float) * width);
         to[width] = to[width - 1];
     }
+}
+
+void look_up(const Surface &surface, const int32_t *xs, const int32_t *ys, const float *px, int count, float dr,
+             float dc, float *out) {
+    look_up_list(surface.data.data(), surface.height, surface.width, surface.stride, xs, ys, px, count, dr, dc, out);
 }
 
 FieldSource::FieldSource(const float *disparity, const uint8_t *marked, int height, int width, float reach_rows,
@@ -334,8 +338,7 @@ void ViewField::polish(float dr, float dc) {
     samples_.resize(count), hidden_.resize(count);
     for (int i = 0; i < count; ++i) values_[i] = field_[size_t(ys_[i] + 1) * stride_ + xs_[i] + 1];
     for (int round = 0; round <= POLISH_ROUNDS; ++round) {
-        look_up(d.data.data(), d.height, d.width, d.stride, xs_.data(), ys_.data(), values_.data(), count, dr, dc,
-                samples_.data());
+        look_up(d, xs_.data(), ys_.data(), values_.data(), count, dr, dc, samples_.data());
         if (round == POLISH_ROUNDS) break;
         for (int i = 0; i < count; ++i)
             if (std::fabs(samples_[i] - values_[i]) < source_.knobs.match_px) values_[i] = samples_[i];

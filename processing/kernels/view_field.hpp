@@ -25,6 +25,10 @@ struct Surface {
     }
 };
 
+// out[i] = surface.at(xs[i] + dc * px[i], ys[i] + dr * px[i])
+void look_up(const Surface &surface, const int32_t *xs, const int32_t *ys, const float *px, int count, float dr,
+             float dc, float *out);
+
 // A cell between four pixels in which the surface is steep: how much (largest differences), and its lowest and highest.
 struct SteepCell {
     int x, y;
