@@ -248,7 +248,10 @@ int64_t layered_views(ndarray<const T, nb::ndim<3>, nb::c_contig, nb::device::cp
         Painter<T, Photo> painter(sampled, layers, source);
         for (int v; (v = next.fetch_add(1)) < views;) {
             T *view = to + size_t(v) * height * width * 3;
-            near_steps[v] = painter.paint(offset[2 * v], offset[2 * v + 1], view);
+            if (offset[2 * v] == 0.0f && offset[2 * v + 1] == 0.0f)
+                std::copy_n(pixels, size_t(height) * width * 3, view);
+            else
+                near_steps[v] = painter.paint(offset[2 * v], offset[2 * v + 1], view);
         }
     });
     int64_t total = 0;

@@ -6,35 +6,16 @@ layered representation", SIGGRAPH 2004). Put back over each other without a shif
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
+from lfrig.processing.kernels.layered_views import Layers
 from lfrig.processing.model import F32
-from lfrig.processing.synthesis.peel import Mask, Peeled, grow, near_rim, peel
+from lfrig.processing.synthesis.peel import Mask, grow, near_rim, peel
 from lfrig.processing.synthesis.settings import SynthesisSettings
 
 MARGIN_PX = 3
 """The near surface is continued this far beyond what is drawn of it, so that no sample mixes it with the far one."""
-
-
-@dataclass(frozen=True)
-class Layers:
-    """The photo taken apart at its depth steps. ``_grey`` are grey levels of 0..255.
-
-    ``behind`` is the far layer: the surface with its near rims peeled off, ``far_grey`` float32 [H, W, 3] its colours.
-    ``near_px`` float32 [H, W] is the near surface's disparity, continued beyond its edge; ``near_grey`` float32
-    [H, W, 4] its colours and its share 0..1 of a pixel. ``near_drawn`` bool [H, W]: the pixels at steps that are drawn
-    as near layer over far layer. ``far_drawn`` bool [H, W]: far pixels at steps, whose colour in the photo is mixed.
-    """
-
-    behind: Peeled
-    far_grey: F32
-    near_px: F32
-    near_grey: F32
-    near_drawn: Mask
-    far_drawn: Mask
 
 
 def split_layers(photo_grey: F32, disparity: F32, reach_px: int, settings: SynthesisSettings) -> Layers:
@@ -73,7 +54,7 @@ def split_layers(photo_grey: F32, disparity: F32, reach_px: int, settings: Synth
     near_px, _ = grow(disparity[..., None], near | behind.peeled, continued, MARGIN_PX + 2)
     at_mixed = _dilate(mixed, 1)
     return Layers(
-        behind=behind,
+        behind_px=behind.disparity,
         far_grey=np.clip(far_grey, 0, 255),
         near_px=np.ascontiguousarray(near_px[..., 0]),
         near_grey=np.dstack([np.clip(near_grey, 0, 255), share]),

@@ -166,7 +166,8 @@ def test_16_bits_hold_what_8_bits_hold(exact) -> None:
     image, disparity, _ = exact
     narrow = render_views(image, disparity, 3, 3).astype(int)
     wide = render_views(image.astype(np.uint16) * 257, disparity, 3, 3).astype(int)
-    assert np.abs(wide - narrow * 257).max() <= 129 + 1
+    # Half a level is lost in rounding; 8 bits are sampled in fixed point, which moves a value by up to a tenth more.
+    assert np.abs(wide - narrow * 257).max() <= 0.6 * 257
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (3, 5), (16, 2)])
