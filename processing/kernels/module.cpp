@@ -10,6 +10,7 @@ void register_layered_views(nb::module_ &m);
 void register_lenslet(nb::module_ &m);
 void register_plane_cost(nb::module_ &m);
 void register_plane_fit(nb::module_ &m);
+void register_rims(nb::module_ &m);
 void register_sgm(nb::module_ &m);
 void register_softmax(nb::module_ &m);
 void register_spline(nb::module_ &m);
@@ -25,6 +26,7 @@ NB_MODULE(_native, m) {
     register_lenslet(m);
     register_plane_cost(m);
     register_plane_fit(m);
+    register_rims(m);
     register_sgm(m);
     register_softmax(m);
     register_spline(m);

@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 
 from lfrig.contracts.progress import Monitor
 from lfrig.processing.kernels.layered_views import layered_views
+from lfrig.processing.kernels.rims import near_rim
 from lfrig.processing.kernels.warp import warp_views
 from lfrig.processing.model import F32, Image
 from lfrig.processing.skipping import SKIP_ALL, Skips, Tally
 from lfrig.processing.synthesis.field import view_field, view_offsets
 from lfrig.processing.synthesis.matte import split_layers
-from lfrig.processing.synthesis.peel import near_rim
 from lfrig.processing.synthesis.settings import DEFAULT_SYNTHESIS, Method, SynthesisSettings
 
 LEAST_REACH_PX, MOST_REACH_PX = 3, 24

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from lfrig.processing.kernels.rims import grow, peel
 from lfrig.processing.synthesis import SynthesisSettings, fill_nan, render_views, view_field, view_offsets
 from lfrig.processing.synthesis.matte import split_layers
-from lfrig.processing.synthesis.peel import grow, peel
 from tests.processing import scenes
 
 
