@@ -26,8 +26,8 @@ constexpr int POLISH_ROUNDS = 2, FAR_ROUNDS = 6;
 struct Layers {
     const Surface &behind, &near_px;
     const SplinePicture &far, &near;
-    const uint8_t *far_drawn;      // bool [height, width]
-    std::vector<int32_t> near_at;  // pixels that are drawn as near layer, as indices
+    const uint8_t *far_drawn;  // bool [height, width]
+    Carried near_drawn;        // pixels that are drawn as near layer
 };
 
 // The photo, sampled row by row: 8 bits from fixed point, 16 bits from the coefficients themselves.
@@ -61,7 +61,7 @@ inline void write(const float grey[3], T *out) {
 // Pixels of a view, and the disparity at which each is drawn.
 struct Spots {
     std::vector<int32_t> xs, ys;
-    std::vector<float> px, next, samples;
+    std::vector<float> px, samples;
 
     void clear() { xs.clear(), ys.clear(), px.clear(); }
     void add(int x, int y, float value) { xs.push_back(x), ys.push_back(y), px.push_back(value); }
@@ -69,14 +69,9 @@ struct Spots {
     void keep(int to, int from) { xs[to] = xs[from], ys[to] = ys[from], px[to] = px[from]; }
     void resize(int count) { xs.resize(count), ys.resize(count), px.resize(count); }
 
-    // px <- surface(u + px * offset), as long as it moves by less than `limit`.
     void settle(const Surface &surface, float dr, float dc, int rounds, float limit) {
-        next.resize(px.size());
-        for (int round = 0; round < rounds; ++round) {
-            look_up(surface, xs.data(), ys.data(), px.data(), size(), dr, dc, next.data());
-            for (int i = 0; i < size(); ++i)
-                if (std::fabs(next[i] - px[i]) < limit) px[i] = next[i];
-        }
+        samples.resize(4 * px.size());
+        settle_list(surface, xs.data(), ys.data(), size(), dr, dc, rounds, limit, px.data(), samples.data());
     }
     void sample(const SplinePicture &picture, float dr, float dc) {
         samples.resize(4 * px.size());
@@ -93,7 +88,7 @@ class Painter {
   public:
     Painter(const Photo &photo, const Layers &layers, const FieldSource &source)
         : photo_(photo), layers_(layers), knobs_(source.knobs), height_(source.surface.height),
-          width_(source.surface.width), field_(source) {}
+          width_(source.surface.width), field_(source), carried_(layers.near_drawn) {}
 
     // Returns the number of pixels near steps.
     int64_t paint(float dr, float dc, T *out) {
@@ -145,31 +140,23 @@ class Painter {
 
     void find_edges(float dr, float dc) {
         near_.clear();
-        float *z = field_.z_row(0);
+        float *z = field_.z();
         const int stride = field_.stride();
-        for (const int32_t at : layers_.near_at) {
-            const float d = near_disparity(at);
-            splat_pixel(z, stride, landing(at, d, dr, dc), d);
-        }
-        for (const int32_t at : layers_.near_at) {
-            const Covered covered = landing(at, near_disparity(at), dr, dc);
-            for (int y = covered.y0; y <= covered.y1; ++y)
-                for (int x = covered.x0; x <= covered.x1; ++x) {
-                    float &carried = z[ptrdiff_t(y) * stride + x];
-                    const float found = carried;
-                    carried = -ANY;  // as it was; and no pixel is found twice
-                    if (x < 0 || x >= width_ || y < 0 || y >= height_) continue;
-                    if (found > field_.row(y)[x] - knobs_.hidden_px) near_.add(x, y, found);
-                }
-        }
+        carried_.land(dr, dc, height_, width_);
+        carried_.splat(z, stride);
+        for (size_t i = 0; i < carried_.px.size(); ++i)
+            for (int k = 0; k < 4; ++k) {
+                if ((k & carried_.more[i]) != k) continue;
+                const int at = carried_.first[i] + (k & 1) + (k >> 1) * stride;
+                const float found = z[at];
+                if (found == -ANY) continue;  // found before
+                z[at] = -ANY;
+                const int y = at / stride - 1, x = at - (y + 1) * stride - 1;
+                if (x < 0 || x >= width_ || y < 0 || y >= height_) continue;
+                if (found > field_.row(y)[x] - knobs_.hidden_px) near_.add(x, y, found);
+            }
     }
 
-    float near_disparity(int32_t at) const {
-        return layers_.near_px.data[size_t(at / width_) * layers_.near_px.stride + at % width_];
-    }
-    Covered landing(int32_t at, float d, float dr, float dc) const {
-        return {float(at % width_) - dc * d, float(at / width_) - dr * d, height_, width_};
-    }
     bool far_drawn_at(float x, float y) const {
         if (!(x > -0.5f && x < float(width_) - 0.5f && y > -0.5f && y < float(height_) - 0.5f)) return false;
         const int ix = std::min(int(x + 0.5f), width_ - 1), iy = std::min(int(y + 0.5f), height_ - 1);
@@ -182,6 +169,7 @@ class Painter {
     FieldKnobs knobs_;
     int height_, width_;
     ViewField field_;
+    Carried carried_;
     Spots far_, near_;
     std::vector<float> own_;
 };
@@ -231,8 +219,9 @@ int64_t layered_views(ndarray<const T, nb::ndim<3>, nb::c_contig, nb::device::cp
                                      [=](int y, int x, float *p) { std::copy_n(near + (y * row + x) * 4, 4, p); });
     const Surface behind_px(behind.data(), height, width), near_surface(near_px.data(), height, width);
     Layers layers{behind_px, near_surface, far_colours, near_colours, far_flag, {}};
-    for (int i = 0; i < height * width; ++i)
-        if (near_flag[i]) layers.near_at.push_back(i);
+    for (int y = 0; y < height; ++y)
+        for (int x = 0; x < width; ++x)
+            if (near_flag[y * row + x]) layers.near_drawn.add(x, y, near_surface.data[y * near_surface.stride + x]);
     float reach_rows = 0.0f, reach_cols = 0.0f;
     for (int v = 0; v < views; ++v) {
         reach_rows = std::max(reach_rows, std::fabs(offset[2 * v]));

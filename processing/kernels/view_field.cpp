@@ -17,6 +17,8 @@ constexpr float NOTHING = -std::numeric_limits<float>::infinity();
 constexpr float CONTRACTION = 0.25f;   // of a step of the fixed-point iteration, where the surface counts as smooth
 constexpr float SMOOTH_PX = 0.1f;      // neighbours that differ by more are never smooth
 constexpr float SETTLED_PX = 0.01f;    // the iteration is over when no sample moves by more in the photo
+constexpr float SETTLED = 1e-5f;       // of a disparity: it stands still
+constexpr int BLOCK = 64;
 constexpr int SETTLE_ROUNDS = 5, POLISH_ROUNDS = 3, HOLE_ROUNDS = 8;
 
 // Fixed-point iteration g <- d(u + g * offset) on LANES pixels of row y from x0, starting from the centre's disparity,
@@ -127,19 +129,30 @@ void settle_row(const Surface &d, int y, float dr, float dc, float limit, float 
     settle_row_plain(d, y, dr, dc, limit, field, mask);
 }
 
-LFRIG_CLONES void look_up_list(const float *__restrict data, int height, int width, int stride,
-                          const int32_t *__restrict xs, const int32_t *__restrict ys, const float *__restrict field,
-                          int count, float dr, float dc, float *__restrict out) {
+LFRIG_CLONES void settle_all(const float *__restrict data, int height, int width, int stride,
+                             const int32_t *__restrict xs, const int32_t *__restrict ys, int count, float dr, float dc,
+                             int rounds, float limit, float *__restrict px, float *__restrict samples) {
     const float right = float(width - 1), bottom = float(height - 1);
-    for (int i = 0; i < count; ++i) {
-        float x = float(xs[i]) + dc * field[i], y = float(ys[i]) + dr * field[i];
-        x = x > 0.0f ? x : 0.0f, y = y > 0.0f ? y : 0.0f;
-        x = x < right ? x : right, y = y < bottom ? y : bottom;
-        const int ix = int(x), iy = int(y), at = iy * stride + ix;
-        const float tx = x - float(ix), ty = y - float(iy);
-        const float a = data[at] + tx * (data[at + 1] - data[at]);
-        const float b = data[at + stride] + tx * (data[at + stride + 1] - data[at + stride]);
-        out[i] = a + ty * (b - a);
+    for (int start = 0; start < count; start += BLOCK) {
+        const int end = std::min(start + BLOCK, count);
+        int moving = 1;
+        for (int round = 0; round <= rounds && moving; ++round) {
+            const float least = round < rounds ? limit : 0.0f;  // the last round samples, and moves nothing
+            moving = 0;
+            for (int i = start; i < end; ++i) {
+                float x = float(xs[i]) + dc * px[i], y = float(ys[i]) + dr * px[i];
+                x = x > 0.0f ? x : 0.0f, y = y > 0.0f ? y : 0.0f;
+                x = x < right ? x : right, y = y < bottom ? y : bottom;
+                const int ix = int(x), iy = int(y), at = iy * stride + ix;
+                const float tx = x - float(ix), ty = y - float(iy);
+                const float a = data[at] + tx * (data[at + 1] - data[at]);
+                const float b = data[at + stride] + tx * (data[at + stride + 1] - data[at + stride]);
+                const float sample = a + ty * (b - a), change = std::fabs(sample - px[i]);
+                samples[i] = sample;
+                px[i] = change < least ? sample : px[i];
+                moving |= int(change < least) & int(change > SETTLED);
+            }
+        }
     }
 }
 
@@ -166,6 +179,37 @@ LFRIG_CLONES void widen(const uint8_t *__restrict mask, int height, int width, i
     }
 }
 
+// A few bytes, and often: eight at a time, of which what is too much stays as it was.
+inline void fill_ones(uint8_t *at, int count) {
+    for (; count >= 8; count -= 8, at += 8) std::memset(at, 1, 8);
+    uint64_t eight;
+    std::memcpy(&eight, at, 8);
+    eight |= uint64_t(0x0101010101010101) & ((uint64_t(1) << (8 * count)) - 1);
+    std::memcpy(at, &eight, 8);
+}
+
+// Adding and taking off 1.5 * 2^23 rounds to the nearest, halves to even.
+inline int nearest(float a, float last) {
+    constexpr float ROUND = 12582912.0f;
+    a = a > -1.0f ? a : -1.0f;
+    a = a < last ? a : last;
+    return int((a + ROUND) - ROUND);
+}
+
+LFRIG_CLONES void land_all(const float *__restrict xs, const float *__restrict ys, const float *__restrict px,
+                           int count, float dr, float dc, int height, int width, int32_t *__restrict first,
+                           uint8_t *__restrict more) {
+    const float right = float(width), bottom = float(height);
+    const int stride = width + 2;
+    for (int i = 0; i < count; ++i) {
+        const float x = xs[i] - dc * px[i], y = ys[i] - dr * px[i];
+        const int x0 = nearest(x - 0.25f, right), y0 = nearest(y - 0.25f, bottom);
+        const int x1 = nearest(x + 0.25f, right), y1 = nearest(y + 0.25f, bottom);
+        first[i] = (y0 + 1) * stride + x0 + 1;
+        more[i] = uint8_t((x1 - x0) | ((y1 - y0) << 1));
+    }
+}
+
 float middle_of(const float *values, int count) {
     std::vector<float> some;
     const int step = std::max(1, count / 4096);
@@ -185,9 +229,26 @@ Surface::Surface(const float *values, int rows, int cols)
     }
 }
 
-void look_up(const Surface &surface, const int32_t *xs, const int32_t *ys, const float *px, int count, float dr,
-             float dc, float *out) {
-    look_up_list(surface.data.data(), surface.height, surface.width, surface.stride, xs, ys, px, count, dr, dc, out);
+void settle_list(const Surface &surface, const int32_t *xs, const int32_t *ys, int count, float dr, float dc, int rounds,
+                 float limit, float *px, float *samples) {
+    settle_all(surface.data.data(), surface.height, surface.width, surface.stride, xs, ys, count, dr, dc, rounds, limit,
+               px, samples);
+}
+
+void Carried::land(float dr, float dc, int height, int width) {
+    first.resize(px.size()), more.resize(px.size());
+    land_all(xs.data(), ys.data(), px.data(), int(px.size()), dr, dc, height, width, first.data(), more.data());
+}
+
+void Carried::splat(float *z, int stride) const {
+    for (size_t i = 0; i < px.size(); ++i) {
+        float *at = z + first[i];
+        const float value = px[i];
+        at[0] = std::max(at[0], value);
+        if (more[i] & 1) at[1] = std::max(at[1], value);
+        if (more[i] & 2) at[stride] = std::max(at[stride], value);
+        if (more[i] == 3) at[stride + 1] = std::max(at[stride + 1], value);
+    }
 }
 
 FieldSource::FieldSource(const float *disparity, const uint8_t *marked, int height, int width, float reach_rows,
@@ -215,7 +276,7 @@ ViewField::ViewField(const FieldSource &source)
       mask_stride_((width_ + 63) / 64 * 64) {
     field_.assign(size_t(height_ + 2) * stride_, NOTHING);
     z_.assign(field_.size(), NOTHING);
-    mask_.assign(size_t(height_) * mask_stride_, 0);
+    mask_.assign(size_t(height_) * mask_stride_ + 8, 0);  // fill_ones() looks eight bytes ahead
     wanted_.assign(mask_.size(), 0);
 }
 
@@ -248,7 +309,7 @@ void ViewField::mark_steps(float dr, float dc) {
         const int top = std::max(0, int(std::floor(std::max(std::min(ya, yb), 0.0f))) - 1);
         const int bottom = std::min(height_ - 1, int(std::ceil(std::min(std::max(ya, yb), float(height_)))) + 2);
         for (int y = top; y <= bottom && left <= right; ++y)
-            std::memset(mask_.data() + size_t(y) * mask_stride_ + left, 1, right - left + 1);
+            fill_ones(mask_.data() + size_t(y) * mask_stride_ + left, right - left + 1);
     }
 }
 
@@ -283,7 +344,7 @@ void ViewField::splat(float dr, float dc) {
     widen(mask_.data(), height_, width_, mask_stride_, bounded(std::floor(y0) - 1, height_),
           bounded(std::ceil(y1) + 1, height_), bounded(std::floor(x0) - 1, width_), bounded(std::ceil(x1) + 1, width_),
           across_.data(), wanted_.data());
-    float *z = z_row(0);
+    carried_.clear();
     for (int y = 0; y < height_; ++y) {
         const uint8_t *row = wanted_.data() + size_t(y) * mask_stride_;
         const float *d = s.surface.data.data() + size_t(y) * s.surface.stride;
@@ -292,10 +353,11 @@ void ViewField::splat(float dr, float dc) {
             std::memcpy(&eight, row + x8, 8);
             if (!eight) continue;
             for (int x = x8; x < std::min(x8 + 8, width_); ++x)
-                if (row[x])
-                    splat_pixel(z, stride_, {float(x) - dc * d[x], float(y) - dr * d[x], height_, width_}, d[x]);
+                if (row[x]) carried_.add(x, y, d[x]);
         }
     }
+    carried_.land(dr, dc, height_, width_);
+    carried_.splat(z_.data(), stride_);
     values_.resize(xs_.size());
     for (size_t i = 0; i < xs_.size(); ++i) {
         const size_t at = size_t(ys_[i] + 1) * stride_ + xs_[i] + 1;
@@ -337,12 +399,8 @@ void ViewField::polish(float dr, float dc) {
     const int count = int(xs_.size());
     samples_.resize(count), hidden_.resize(count);
     for (int i = 0; i < count; ++i) values_[i] = field_[size_t(ys_[i] + 1) * stride_ + xs_[i] + 1];
-    for (int round = 0; round <= POLISH_ROUNDS; ++round) {
-        look_up(d, xs_.data(), ys_.data(), values_.data(), count, dr, dc, samples_.data());
-        if (round == POLISH_ROUNDS) break;
-        for (int i = 0; i < count; ++i)
-            if (std::fabs(samples_[i] - values_[i]) < source_.knobs.match_px) values_[i] = samples_[i];
-    }
+    settle_list(d, xs_.data(), ys_.data(), count, dr, dc, POLISH_ROUNDS, source_.knobs.match_px, values_.data(),
+                samples_.data());
     for (int i = 0; i < count; ++i) {
         hidden_[i] = uint8_t(samples_[i] - values_[i] > source_.knobs.hidden_px);
         field_[size_t(ys_[i] + 1) * stride_ + xs_[i] + 1] = values_[i];

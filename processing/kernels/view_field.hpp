@@ -25,9 +25,27 @@ struct Surface {
     }
 };
 
-// out[i] = surface.at(xs[i] + dc * px[i], ys[i] + dr * px[i])
-void look_up(const Surface &surface, const int32_t *xs, const int32_t *ys, const float *px, int count, float dr,
-             float dc, float *out);
+// Fixed-point iteration of a list of pixels of a view: px[i] <- surface.at(xs[i] + dc * px[i], ys[i] + dr * px[i]) where
+// that moves it by less than `limit`, for so many rounds or until 64 neighbours in the list stand still. `samples` gets
+// what the surface has at the px that came out of it, to within SETTLED.
+void settle_list(const Surface &surface, const int32_t *xs, const int32_t *ys, int count, float dr, float dc, int rounds,
+                 float limit, float *px, float *samples);
+
+// Pixels of the source and their disparity, on their way to a view.
+struct Carried {
+    std::vector<float> xs, ys, px;
+    // Found by land(): where in the view. The first pixel, as an index into a map with one pixel of border, and which
+    // of its neighbours are covered too: bit 0 the one to the right, bit 1 the one below, both: also the fourth.
+    std::vector<int32_t> first;
+    std::vector<uint8_t> more;
+
+    void clear() { xs.clear(), ys.clear(), px.clear(); }
+    void add(int x, int y, float value) { xs.push_back(float(x)), ys.push_back(float(y)), px.push_back(value); }
+    // A pixel covers those that it comes within a quarter of a pixel of: a splat at twice the density.
+    void land(float dr, float dc, int height, int width);
+    // Write every disparity where nothing nearer is in `z`, [height + 2, width + 2] with its border.
+    void splat(float *z, int stride) const;
+};
 
 // A cell between four pixels in which the surface is steep: how much (largest differences), and its lowest and highest.
 struct SteepCell {
@@ -67,8 +85,8 @@ class ViewField {
     const std::vector<float> &values() const { return values_; }
     const std::vector<uint8_t> &hidden() const { return hidden_; }
     int stride() const { return stride_; }
-    // Splat target, -inf everywhere outside of find(); whoever writes into it leaves it so. One pixel of border.
-    float *z_row(int y) { return z_.data() + size_t(y + 1) * stride_ + 1; }
+    // Splat target with one pixel of border, -inf everywhere outside of find(); whoever writes into it leaves it so.
+    float *z() { return z_.data(); }
 
   private:
     void mark_steps(float dr, float dc);
@@ -82,36 +100,10 @@ class ViewField {
     int height_, width_, stride_, mask_stride_;
     std::vector<float> field_, z_;
     std::vector<uint8_t> mask_, across_, wanted_;
+    Carried carried_;
     std::vector<int32_t> xs_, ys_, holes_;
     std::vector<float> values_, samples_, lowest_near_;
     std::vector<uint8_t> hidden_;
 };
-
-// The up to four pixels that a source pixel at (x, y) of a view covers at twice the density, first and last of each;
-// between -1 and the size, so that one pixel of border takes what lies outside.
-struct Covered {
-    int x0, x1, y0, y1;
-
-    Covered(float x, float y, int height, int width)
-        : x0(nearest(x - 0.25f, width)), x1(nearest(x + 0.25f, width)), y0(nearest(y - 0.25f, height)),
-          y1(nearest(y + 0.25f, height)) {}
-
-  private:
-    static int nearest(float a, int last) {
-        constexpr float ROUND = 12582912.0f;  // adding and taking off 1.5 * 2^23 rounds to the nearest, halves to even
-        a = a > -1.0f ? a : -1.0f;
-        a = a < float(last) ? a : float(last);
-        return int((a + ROUND) - ROUND);
-    }
-};
-
-// Write `value` where nothing nearer is; `z` is the pixel (0, 0) of a map with one pixel of border.
-inline void splat_pixel(float *z, int stride, const Covered &at, float value) {
-    for (int y = at.y0; y <= at.y1; ++y)
-        for (int x = at.x0; x <= at.x1; ++x) {
-            float &nearest = z[ptrdiff_t(y) * stride + x];
-            if (value > nearest) nearest = value;
-        }
-}
 
 }  // namespace lfrig
