@@ -1,5 +1,6 @@
 // Which hand-written form of a loop this machine can run. Each has a plain form beside it that gives the same bits.
 #pragma once
+#include <atomic>
 
 #if defined(__x86_64__) && defined(__GNUC__)
 #define LFRIG_X86 1
@@ -9,8 +10,12 @@
 
 namespace lfrig {
 
+// Set by tests: hand-written forms stay unused.
+inline std::atomic<bool> plain_loops{false};
+
 inline bool has_avx512() {
 #ifdef LFRIG_X86
+    if (plain_loops.load(std::memory_order_relaxed)) return false;
     static const bool has = __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512bw") &&
                             __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512vl");
     return has;

@@ -19,7 +19,8 @@ constexpr float SMOOTH_PX = 0.1f;      // neighbours that differ by more are nev
 constexpr float SETTLED_PX = 0.01f;    // the iteration is over when no sample moves by more in the photo
 constexpr float SETTLED = 1e-5f;       // of a disparity: it stands still
 constexpr int BLOCK = 64;
-constexpr int SETTLE_ROUNDS = 5, POLISH_ROUNDS = 3, HOLE_ROUNDS = 8;
+constexpr int SETTLE_ROUNDS = 5, POLISH_ROUNDS = 3;
+constexpr float FARTHEST_PX = 1e6f;     // no disparity is farther from 0; what is not finite becomes finite
 
 // Fixed-point iteration g <- d(u + g * offset) on LANES pixels of row y from x0, starting from the centre's disparity,
 // until every pixel that is not masked moves by at most `limit`. Writes the field; pixels that do not settle are masked.
@@ -210,21 +211,15 @@ LFRIG_CLONES void land_all(const float *__restrict xs, const float *__restrict y
     }
 }
 
-float middle_of(const float *values, int count) {
-    std::vector<float> some;
-    const int step = std::max(1, count / 4096);
-    for (int i = 0; i < count; i += step) some.push_back(values[i]);
-    std::nth_element(some.begin(), some.begin() + some.size() / 2, some.end());
-    return some[some.size() / 2];
-}
-
 }  // namespace
 
 Surface::Surface(const float *values, int rows, int cols)
     : height(rows), width(cols), stride(cols + 1), data(size_t(rows + 1) * (cols + 1) + 3 * (cols + 1) + 64) {
     for (int y = 0; y <= height; ++y) {
         float *to = data.data() + size_t(y) * stride;
-        std::memcpy(to, values + size_t(std::min(y, height - 1)) * width, sizeof(float) * width);
+        const float *from = values + size_t(std::min(y, height - 1)) * width;
+        for (int x = 0; x < width; ++x)  // NaN is the lower limit
+            to[x] = std::min(std::max(-FARTHEST_PX, from[x]), FARTHEST_PX);
         to[width] = to[width - 1];
     }
 }
@@ -253,9 +248,9 @@ void Carried::splat(float *z, int stride) const {
 
 FieldSource::FieldSource(const float *disparity, const uint8_t *marked, int height, int width, float reach_rows,
                          float reach_cols, FieldKnobs with)
-    : surface(disparity, height, width), knobs(with), middle(middle_of(disparity, height * width)) {
-    lowest = *std::min_element(disparity, disparity + size_t(height) * width);
-    highest = *std::max_element(disparity, disparity + size_t(height) * width);
+    : surface(disparity, height, width), knobs(with) {
+    const auto ends = std::minmax_element(surface.data.data(), surface.data.data() + size_t(height) * surface.stride);
+    lowest = *ends.first, highest = *ends.second;
     if (!knobs.certain) return;
     for (int y = 0; y < height; ++y)
         for (int x = 0; x < width; ++x) {
@@ -373,7 +368,7 @@ void ViewField::fill_holes() {
         const int at = (ys_[i] + 1) * stride_ + xs_[i] + 1;
         if (field_[at] == NOTHING) holes_.push_back(at);
     }
-    for (int round = 0; round < HOLE_ROUNDS && !holes_.empty(); ++round) {
+    while (!holes_.empty()) {
         const float none = std::numeric_limits<float>::infinity();
         lowest_near_.assign(holes_.size(), none);
         for (size_t i = 0; i < holes_.size(); ++i)
@@ -390,8 +385,7 @@ void ViewField::fill_holes() {
         if (left == holes_.size()) break;
         holes_.resize(left);
     }
-    for (const int32_t hole : holes_)
-        if (field_[hole] == NOTHING) field_[hole] = source_.middle;
+    for (const int32_t hole : holes_) field_[hole] = 0.0f;  // nothing lands anywhere in the view
 }
 
 void ViewField::polish(float dr, float dc) {

@@ -63,7 +63,7 @@ struct FieldKnobs {
 struct FieldSource {
     Surface surface;
     FieldKnobs knobs;
-    float lowest, highest, middle;
+    float lowest, highest;
     std::vector<SteepCell> cells;  // sorted by rows
 
     // `marked` bool [height, width]: pixels whose surroundings need the whole treatment in any case.

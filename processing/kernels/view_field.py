@@ -16,7 +16,7 @@ SUBPIXELS = np.array([(-0.25, -0.25), (-0.25, 0.25), (0.25, -0.25), (0.25, 0.25)
 
 
 def z_buffered_field(
-    disparity: F32, dr: float, dc: float, match_px: float, hidden_px: float
+    disparity: F32, dr: float, dc: float, match_px: float, hidden_px: float, hole_rounds: int = 10_000
 ) -> tuple[F32, NDArray[np.bool_]]:
     """Disparity on the grid of the output view at offset (dr, dc), and which of its pixels the photo does not show.
 
@@ -28,12 +28,14 @@ def z_buffered_field(
         The polish keeps the splatted disparity unless it moves less than this.
     hidden_px : float
         A gathered sample this much nearer than the field shows the foreground: the point is disoccluded.
+    hole_rounds : int
+        See `fill_holes`.
 
     Returns
     -------
     field : float32 [H, W], hidden : bool [H, W]
     """
-    field = fill_holes(splat(disparity, dr, dc))
+    field = fill_holes(splat(disparity, dr, dc), hole_rounds)
     field = fixed_point(disparity, field, dr, dc, 3, match_px)
     sample = gather(disparity, field, dr, dc)
     return field, np.asarray(sample - field > hidden_px)
@@ -66,8 +68,10 @@ def splat(disparity: F32, dr: float, dc: float, where: NDArray[np.bool_] | None 
     return out.reshape(height, width)
 
 
-def fill_holes(field: F32, rounds: int = 8) -> F32:
-    """Holes grow shut from the far side: the lowest disparity next to them."""
+def fill_holes(field: F32, rounds: int) -> F32:
+    """Holes grow shut from the far side, a pixel per round: the lowest disparity next to them. What is left after the
+    last round takes the median.
+    """
     import cv2
 
     window = np.ones((3, 3), np.uint8)

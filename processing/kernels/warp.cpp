@@ -7,6 +7,7 @@
 #include <stdexcept>
 #include <vector>
 
+#include "lfrig/cpu.hpp"
 #include "lfrig/parallel.hpp"
 #include "lfrig/taps.hpp"
 #include "pair_sampling.hpp"
@@ -85,6 +86,9 @@ void warp(ndarray<const T, nb::ndim<3>, nb::c_contig, nb::device::cpu> image,
 }  // namespace
 
 void register_warp(nb::module_ &m) {
+    m.def(
+        "use_plain_loops", [](bool plain) { lfrig::plain_loops = plain; }, nb::arg("plain"),
+        "Leave hand-written vector code unused: for the tests that it gives the bits of the plain loops.");
     m.def("warp_views", &warp<uint8_t, Source8>, nb::arg("image").noconvert(), nb::arg("fields").noconvert(),
           nb::arg("offsets").noconvert(), nb::arg("out").noconvert(), nb::arg("threads"));
     m.def("warp_views", &warp<uint16_t, Source16>, nb::arg("image").noconvert(), nb::arg("fields").noconvert(),
