@@ -33,21 +33,26 @@ inline void keys_weights(float t, float w[4]) {
     w[3] = 0.5f * t3 - 0.5f * t2;
 }
 
+enum class Interpolation { SPLINE, KEYS };
+
+inline Kernel kernel_of(Interpolation kind) { return kind == Interpolation::SPLINE ? spline_weights : keys_weights; }
+
 struct Taps {
+    Interpolation kind;
     alignas(64) float weight[FRACTIONS][4];
     alignas(64) int32_t pair[FRACTIONS][2];  // fixed point, two int16 each: (w0, w1), (w2, w3); the four sum to one
 
-    explicit Taps(Kernel kernel) {
+    explicit Taps(Interpolation kind) : kind(kind) {
         for (int k = 0; k < FRACTIONS; ++k) {
             float *w = weight[k];
-            kernel(float(k) / float(FRACTIONS), w);
-            int fixed[4], sum = 0, largest = 0;
+            const float t = float(k) / float(FRACTIONS);
+            kernel_of(kind)(t, w);
+            int fixed[4], rest = WEIGHT_ONE;
             for (int i = 0; i < 4; ++i) {
-                fixed[i] = int(std::lround(w[i] * float(WEIGHT_ONE)));
-                sum += fixed[i];
-                if (w[i] > w[largest]) largest = i;
+                fixed[i] = int(std::floor(w[i] * float(WEIGHT_ONE) + 0.5f));
+                rest -= fixed[i];
             }
-            fixed[largest] += WEIGHT_ONE - sum;
+            fixed[t <= 0.5f ? 1 : 2] += rest;  // the largest takes what rounding lost
             for (int i = 0; i < 2; ++i)
                 pair[k][i] = int32_t(uint32_t(uint16_t(fixed[2 * i])) | uint32_t(uint16_t(fixed[2 * i + 1])) << 16);
         }
@@ -55,12 +60,12 @@ struct Taps {
 };
 
 inline const Taps &spline_taps() {
-    static const Taps taps(spline_weights);
+    static const Taps taps(Interpolation::SPLINE);
     return taps;
 }
 
 inline const Taps &keys_taps() {
-    static const Taps taps(keys_weights);
+    static const Taps taps(Interpolation::KEYS);
     return taps;
 }
 

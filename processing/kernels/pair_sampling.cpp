@@ -119,15 +119,28 @@ LFRIG_CLONES void float_row(const float *picture, int height, int width, int pad
     }
 }
 
-LFRIG_CLONES void float_list_plain(const float *picture, int height, int width, int pad, const Taps &taps,
-                                   const int32_t *xs, const int32_t *ys, const float *px, int count, float dr,
-                                   float dc, float *out) {
+// Where the taps of BLOCK listed pixels begin.
+inline void find_listed(int height, int width, int pad, const int32_t *xs, const int32_t *ys, const float *px,
+                        int count, float dr, float dc, Positions &at) {
     for (int i = 0; i < count; ++i) {
         const int qx = fixed_position(float(xs[i]) + dc * px[i] + float(pad), width);
         const int qy = fixed_position(float(ys[i]) + dr * px[i] + float(pad), height);
-        const float *wx = taps.weight[qx & (FRACTIONS - 1)], *wy = taps.weight[qy & (FRACTIONS - 1)];
-        const float *tap = picture + (size_t((qy >> FRACTION_BITS) - 1) * width + ((qx >> FRACTION_BITS) - 1)) * 4;
-        weigh_taps(tap, width, wx, wy, out + 4 * i);
+        at.start[i] = (((qy >> FRACTION_BITS) - 1) * width + ((qx >> FRACTION_BITS) - 1)) * 4;
+        at.tx[i] = qx & (FRACTIONS - 1);
+        at.ty[i] = qy & (FRACTIONS - 1);
+    }
+}
+
+LFRIG_CLONES void float_list_plain(const float *picture, int height, int width, int pad, const Taps &taps,
+                                   const int32_t *xs, const int32_t *ys, const float *px, int count, float dr,
+                                   float dc, float *out) {
+    Positions at;
+    for (int first = 0; first < count; first += BLOCK) {
+        const int n = std::min(BLOCK, count - first);
+        find_listed(height, width, pad, xs + first, ys + first, px + first, n, dr, dc, at);
+        for (int i = 0; i < n; ++i)
+            weigh_taps(picture + at.start[i], width, taps.weight[at.tx[i]], taps.weight[at.ty[i]],
+                       out + 4 * (first + i));
     }
 }
 
@@ -135,22 +148,29 @@ LFRIG_CLONES void float_list_plain(const float *picture, int height, int width, 
 LFRIG_AVX512 void float_list_avx512(const float *picture, int height, int width, int pad, const Taps &taps,
                                     const int32_t *xs, const int32_t *ys, const float *px, int count, float dr,
                                     float dc, float *out) {
+    constexpr int AHEAD = 8;  // listed pixels lie apart: their rows are fetched before they are needed
     const __m512i spread = _mm512_setr_epi32(0, 0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 3, 3);
-    for (int i = 0; i < count; ++i) {
-        const int qx = fixed_position(float(xs[i]) + dc * px[i] + float(pad), width);
-        const int qy = fixed_position(float(ys[i]) + dr * px[i] + float(pad), height);
-        const float *wy = taps.weight[qy & (FRACTIONS - 1)];
-        const __m512 wx = _mm512_permutexvar_ps(
-            spread, _mm512_castps128_ps512(_mm_load_ps(taps.weight[qx & (FRACTIONS - 1)])));
-        const float *tap = picture + (size_t((qy >> FRACTION_BITS) - 1) * width + ((qx >> FRACTION_BITS) - 1)) * 4;
-        __m512 row[4];
-        for (int j = 0; j < 4; ++j)
-            row[j] = _mm512_mul_ps(_mm512_set1_ps(wy[j]), _mm512_loadu_ps(tap + size_t(4) * j * width));
-        const __m512 column =
-            _mm512_mul_ps(wx, _mm512_add_ps(_mm512_add_ps(row[0], row[1]), _mm512_add_ps(row[2], row[3])));
-        const __m256 halves = _mm256_add_ps(_mm512_castps512_ps256(column), _mm512_extractf32x8_ps(column, 1));
-        _mm_storeu_ps(out + 4 * size_t(i),
-                      _mm_add_ps(_mm256_castps256_ps128(halves), _mm256_extractf128_ps(halves, 1)));
+    Positions at;
+    for (int first = 0; first < count; first += BLOCK) {
+        const int n = std::min(BLOCK, count - first);
+        find_listed(height, width, pad, xs + first, ys + first, px + first, n, dr, dc, at);
+        for (int i = 0; i < n; ++i) {
+            if (i + AHEAD < n)
+                for (int j = 0; j < 4; ++j)
+                    _mm_prefetch(reinterpret_cast<const char *>(picture + at.start[i + AHEAD] + 4 * j * width + 8),
+                                 _MM_HINT_T0);
+            const float *wy = taps.weight[at.ty[i]], *tap = picture + at.start[i];
+            const __m512 wx =
+                _mm512_permutexvar_ps(spread, _mm512_castps128_ps512(_mm_load_ps(taps.weight[at.tx[i]])));
+            __m512 row[4];
+            for (int j = 0; j < 4; ++j)
+                row[j] = _mm512_mul_ps(_mm512_set1_ps(wy[j]), _mm512_loadu_ps(tap + size_t(4) * j * width));
+            const __m512 column =
+                _mm512_mul_ps(wx, _mm512_add_ps(_mm512_add_ps(row[0], row[1]), _mm512_add_ps(row[2], row[3])));
+            const __m256 halves = _mm256_add_ps(_mm512_castps512_ps256(column), _mm512_extractf32x8_ps(column, 1));
+            _mm_storeu_ps(out + 4 * size_t(first + i),
+                          _mm_add_ps(_mm256_castps256_ps128(halves), _mm256_extractf128_ps(halves, 1)));
+        }
     }
 }
 #endif

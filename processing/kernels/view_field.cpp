@@ -17,13 +17,14 @@ constexpr float NOTHING = -std::numeric_limits<float>::infinity();
 constexpr float CONTRACTION = 0.25f;   // of a step of the fixed-point iteration, where the surface counts as smooth
 constexpr float SMOOTH_PX = 0.1f;      // neighbours that differ by more are never smooth
 constexpr float SETTLED_PX = 0.01f;    // the iteration is over when no sample moves by more in the photo
-constexpr float SETTLED = 1e-5f;       // of a disparity: it stands still
-constexpr int BLOCK = 64;
+constexpr float SETTLED = 1e-4f;       // of a disparity: it stands still
+constexpr int BLOCK = 32;
 constexpr int SETTLE_ROUNDS = 5, POLISH_ROUNDS = 3;
 constexpr float FARTHEST_PX = 1e6f;     // no disparity is farther from 0; what is not finite becomes finite
 
 // Fixed-point iteration g <- d(u + g * offset) on LANES pixels of row y from x0, starting from the centre's disparity,
-// until every pixel that is not masked moves by at most `limit`. Writes the field; pixels that do not settle are masked.
+// until every pixel that is not masked moves by at most `limit`. Writes the field; pixels that do not settle, or beyond
+// the frame, are masked.
 inline void settle_plain(const Surface &d, int x0, int y, int count, float dr, float dc, float limit, float *field,
                          uint8_t *mask) {
     float g[LANES], moved[LANES];
@@ -38,9 +39,11 @@ inline void settle_plain(const Surface &d, int x0, int y, int count, float dr, f
         }
         if (!more) break;
     }
+    const float right = float(d.width) - 0.5f, bottom = float(d.height) - 0.5f;
     for (int i = 0; i < count; ++i) {
+        const float x = float(x0 + i) + dc * g[i], v = float(y) + dr * g[i];
         field[i] = g[i];
-        mask[i] |= uint8_t(moved[i] > limit);
+        mask[i] |= uint8_t(moved[i] > limit || x < -0.5f || x > right || v < -0.5f || v > bottom);
     }
 }
 
@@ -92,6 +95,7 @@ LFRIG_AVX512 void settle_row_avx512(const Surface &d, int y, float dr, float dc,
                                     uint8_t *mask) {
     const __m512 lane = _mm512_setr_ps(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
     const __m512 rows = _mm512_set1_ps(dr), cols = _mm512_set1_ps(dc), fy = _mm512_set1_ps(float(y));
+    const __m512 right = _mm512_set1_ps(float(d.width) - 0.5f), bottom = _mm512_set1_ps(float(d.height) - 0.5f);
     const float *centre = d.data.data() + size_t(y) * d.stride;
     for (int x0 = 0; x0 < d.width; x0 += LANES) {
         const int count = std::min(LANES, d.width - x0);
@@ -118,6 +122,11 @@ LFRIG_AVX512 void settle_row_avx512(const Surface &d, int y, float dr, float dc,
             continue;
         }
         _mm512_mask_storeu_ps(field + x0, live, g);
+        const __m512 half = _mm512_set1_ps(-0.5f);
+        const __m512 x = _mm512_add_ps(fx, _mm512_mul_ps(cols, g)), v = _mm512_add_ps(fy, _mm512_mul_ps(rows, g));
+        moving |= _mm512_cmp_ps_mask(x, half, _CMP_LT_OQ) | _mm512_cmp_ps_mask(x, right, _CMP_GT_OQ) |
+                  _mm512_cmp_ps_mask(v, half, _CMP_LT_OQ) | _mm512_cmp_ps_mask(v, bottom, _CMP_GT_OQ);
+        moving &= live;
         if (moving) _mm_mask_storeu_epi8(mask + x0, moving, _mm_set1_epi8(1));
     }
 }
@@ -299,10 +308,10 @@ void ViewField::mark_steps(float dr, float dc) {
         if (!steep) continue;
         const float xa = float(cell.x) - cell.lowest * dc, xb = float(cell.x) - cell.highest * dc;
         const float ya = float(cell.y) - cell.lowest * dr, yb = float(cell.y) - cell.highest * dr;
-        const int left = std::max(0, int(std::floor(std::max(std::min(xa, xb), 0.0f))) - 1);
-        const int right = std::min(width_ - 1, int(std::ceil(std::min(std::max(xa, xb), float(width_)))) + 2);
-        const int top = std::max(0, int(std::floor(std::max(std::min(ya, yb), 0.0f))) - 1);
-        const int bottom = std::min(height_ - 1, int(std::ceil(std::min(std::max(ya, yb), float(height_)))) + 2);
+        const int left = std::max(0, int(std::floor(std::max(std::min(xa, xb), 0.0f))));
+        const int right = std::min(width_ - 1, int(std::ceil(std::min(std::max(xa, xb), float(width_)))) + 1);
+        const int top = std::max(0, int(std::floor(std::max(std::min(ya, yb), 0.0f))));
+        const int bottom = std::min(height_ - 1, int(std::ceil(std::min(std::max(ya, yb), float(height_)))) + 1);
         for (int y = top; y <= bottom && left <= right; ++y)
             fill_ones(mask_.data() + size_t(y) * mask_stride_ + left, right - left + 1);
     }

@@ -26,8 +26,8 @@ struct Surface {
 };
 
 // Fixed-point iteration of a list of pixels of a view: px[i] <- surface.at(xs[i] + dc * px[i], ys[i] + dr * px[i]) where
-// that moves it by less than `limit`, for so many rounds or until 64 neighbours in the list stand still. `samples` gets
-// what the surface has at the px that came out of it, to within SETTLED.
+// that moves it by less than `limit`, for so many rounds or until its neighbours in the list stand still too. `samples` gets
+// what the surface has at the px that came out of it, to within 1e-4.
 void settle_list(const Surface &surface, const int32_t *xs, const int32_t *ys, int count, float dr, float dc, int rounds,
                  float limit, float *px, float *samples);
 

@@ -86,12 +86,13 @@ def test_layered_views_leave_out_what_cannot_matter(amplitude) -> None:
     assert np.mean(np.abs(part.astype(int) - whole.astype(int)) > 1) < 1e-3
 
 
-def test_a_plane_needs_no_splat() -> None:
+def test_a_plane_needs_work_only_beyond_the_frame() -> None:
     image, _ = scene((40, 70))
     plane = np.full((40, 70), 0.7, np.float32)
     layers = layers_of(image, plane)
     _, worked = layered_views(image, plane, layers, OFFSETS, match_px=0.08, hidden_px=0.06)
-    assert worked == 0
+    shifts = np.ceil(0.7 * np.abs(OFFSETS) - 0.5).astype(int)
+    assert worked == sum(40 * 70 - (40 - dy) * (70 - dx) for dy, dx in shifts)
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
