@@ -356,8 +356,14 @@ void ViewField::splat(float dr, float dc) {
             uint64_t eight;
             std::memcpy(&eight, row + x8, 8);
             if (!eight) continue;
-            for (int x = x8; x < std::min(x8 + 8, width_); ++x)
-                if (row[x]) carried_.add(x, y, d[x]);
+            const size_t old = carried_.px.size();
+            carried_.resize(old + 8);
+            size_t count = old;  // all eight are written, and counted where they are wanted
+            for (int x = x8; x < std::min(x8 + 8, width_); ++x) {
+                carried_.set(count, x, y, d[x]);
+                count += row[x];
+            }
+            carried_.resize(count);
         }
     }
     carried_.land(dr, dc, height_, width_);

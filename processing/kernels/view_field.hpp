@@ -25,11 +25,11 @@ struct Surface {
     }
 };
 
-// Fixed-point iteration of a list of pixels of a view: px[i] <- surface.at(xs[i] + dc * px[i], ys[i] + dr * px[i]) where
-// that moves it by less than `limit`, for so many rounds or until its neighbours in the list stand still too. `samples` gets
-// what the surface has at the px that came out of it, to within 1e-4.
-void settle_list(const Surface &surface, const int32_t *xs, const int32_t *ys, int count, float dr, float dc, int rounds,
-                 float limit, float *px, float *samples);
+// Fixed-point iteration of a list of pixels of a view: px[i] <- surface.at(xs[i] + dc * px[i], ys[i] + dr * px[i])
+// where that moves it by less than `limit`, for so many rounds or until its neighbours in the list stand still too.
+// `samples` gets what the surface has at the px that came out of it, to within 1e-4.
+void settle_list(const Surface &surface, const int32_t *xs, const int32_t *ys, int count, float dr, float dc,
+                 int rounds, float limit, float *px, float *samples);
 
 // Pixels of the source and their disparity, on their way to a view.
 struct Carried {
@@ -41,6 +41,8 @@ struct Carried {
 
     void clear() { xs.clear(), ys.clear(), px.clear(); }
     void add(int x, int y, float value) { xs.push_back(float(x)), ys.push_back(float(y)), px.push_back(value); }
+    void resize(size_t count) { xs.resize(count), ys.resize(count), px.resize(count); }
+    void set(size_t at, int x, int y, float value) { xs[at] = float(x), ys[at] = float(y), px[at] = value; }
     // A pixel covers those that it comes within a quarter of a pixel of: a splat at twice the density.
     void land(float dr, float dc, int height, int width);
     // Write every disparity where nothing nearer is in `z`, [height + 2, width + 2] with its border.
