@@ -141,6 +141,7 @@ class Painter {
     void find_edges(float dr, float dc) {
         near_.clear();
         float *z = field_.z();
+        const float *field = field_.with_border();
         const int stride = field_.stride();
         carried_.land(dr, dc, height_, width_);
         carried_.splat(z, stride);
@@ -151,9 +152,9 @@ class Painter {
                 const float found = z[at];
                 if (found == -ANY) continue;  // found before
                 z[at] = -ANY;
+                if (!(found > field[at] - knobs_.hidden_px)) continue;
                 const int y = at / stride - 1, x = at - (y + 1) * stride - 1;
-                if (x < 0 || x >= width_ || y < 0 || y >= height_) continue;
-                if (found > field_.row(y)[x] - knobs_.hidden_px) near_.add(x, y, found);
+                if (x >= 0 && x < width_ && y >= 0 && y < height_) near_.add(x, y, found);
             }
     }
 

@@ -36,10 +36,11 @@ class Peeled:
 
 def near_rim(disparity: F32, step_px: float) -> Mask:
     """Pixels that are more than ``step_px`` nearer than one of their eight neighbours."""
-    return np.asarray(disparity - _lowest(disparity, 3) > step_px)
+    return np.asarray(disparity - lowest(disparity, 3) > step_px)
 
 
-def _lowest(values: F32, window_px: int) -> F32:
+def lowest(values: F32, window_px: int) -> F32:
+    """The lowest value of the window around each pixel."""
     import cv2
 
     return np.asarray(cv2.erode(values, np.ones((window_px, window_px), np.uint8)))
@@ -61,7 +62,7 @@ def peel(disparity: F32, step_px: float, reach_px: int) -> Peeled:
     surface = np.ascontiguousarray(disparity, np.float32)
     behind, done = np.empty_like(surface), np.empty(surface.shape, np.uint8)
     native.peel(
-        surface, _lowest(surface, SLOPE_WINDOW_PX), near_rim(surface, step_px).view(np.uint8), behind, done,
+        surface, lowest(surface, SLOPE_WINDOW_PX), near_rim(surface, step_px).view(np.uint8), behind, done,
         step_px, SLOPE_LIMIT * step_px, SLOPE_WINDOW_PX, SLOPE_PIXELS, reach_px,
     )  # fmt: skip
     return Peeled(behind, done.view(bool))
@@ -113,7 +114,7 @@ def _slopes(disparity: F32, step_px: float) -> tuple[F32, F32]:
     import cv2
 
     found = []
-    far = disparity - _lowest(disparity, SLOPE_WINDOW_PX) <= step_px
+    far = disparity - lowest(disparity, SLOPE_WINDOW_PX) <= step_px
     for axis in (0, 1):
         difference = np.diff(disparity, axis=axis, append=np.inf).astype(np.float32)
         valid = far & (np.abs(difference) <= SLOPE_LIMIT * step_px)

@@ -81,6 +81,8 @@ class ViewField {
     void find(float dr, float dc);
 
     const float *row(int y) const { return field_.data() + size_t(y + 1) * stride_ + 1; }
+    // The same with one pixel of border around, as z() has it.
+    const float *with_border() const { return field_.data(); }
     // Pixels near steps, with what is found of them; the rest of the view shows one smooth surface.
     const std::vector<int32_t> &xs() const { return xs_; }
     const std::vector<int32_t> &ys() const { return ys_; }

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from lfrig.contracts.progress import Monitor
 from lfrig.processing.kernels.layered_views import layered_views
-from lfrig.processing.kernels.rims import near_rim
+from lfrig.processing.kernels.rims import lowest
 from lfrig.processing.kernels.warp import warp_views
 from lfrig.processing.model import F32, Image
 from lfrig.processing.skipping import SKIP_ALL, Skips, Tally
@@ -110,12 +110,9 @@ def _layered(
 
 def _reach_px(disparity: F32, farthest: float, settings: SynthesisSettings) -> int:
     """How far [px] the outermost view looks behind the nearest side of the highest depth step, and two more."""
-    import cv2
-
-    rim = near_rim(disparity, settings.step_px)
-    if not rim.any():
+    highest = float((disparity - lowest(disparity, 3)).max())
+    if highest <= settings.step_px:
         return LEAST_REACH_PX
-    highest = float((disparity - cv2.erode(disparity, np.ones((3, 3), np.uint8)))[rim].max())
     return int(np.clip(np.ceil(farthest * highest) + 2, LEAST_REACH_PX, MOST_REACH_PX))
 
 
