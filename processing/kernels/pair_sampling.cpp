@@ -19,16 +19,12 @@ struct Positions {
     alignas(64) int32_t ty[BLOCK];
 };
 
-// All BLOCK of them; the field is read up to `count`.
 inline void find_positions(const PairPicture &picture, const float *field, float dr, float dc, int x0, int y,
                            int count, Positions &at) {
-    alignas(64) float d[BLOCK];
-    for (int i = 0; i < BLOCK; ++i) d[i] = 0.0f;
-    std::memcpy(d, field + x0, sizeof(float) * count);
     const int width = picture.width, height = picture.height;
     const float fx0 = float(x0), fy0 = float(y), pad = float(picture.pad);
-    for (int i = 0; i < BLOCK; ++i) {
-        const float known = d[i] - d[i] == 0.0f ? d[i] : 0.0f;
+    for (int i = 0; i < count; ++i) {
+        const float d = field[x0 + i], known = d - d == 0.0f ? d : 0.0f;
         const int qx = fixed_position(fx0 + float(i) + dc * known + pad, width);
         const int qy = fixed_position(fy0 + dr * known + pad, height);
         at.start[i] = (((qy >> FRACTION_BITS) - 1) * width + ((qx >> FRACTION_BITS) - 1)) * 8;
@@ -67,6 +63,35 @@ LFRIG_CLONES void sample_row_plain(const PairPicture &picture, const Taps &taps,
 }
 
 #ifdef LFRIG_X86
+LFRIG_AVX512 inline __m512i fixed_positions(__m512 at, int size) {
+    at = _mm512_min_ps(_mm512_max_ps(at, _mm512_set1_ps(1.0f)), _mm512_set1_ps(float(size - 3)));
+    return _mm512_cvttps_epi32(
+        _mm512_add_ps(_mm512_mul_ps(at, _mm512_set1_ps(float(FRACTIONS))), _mm512_set1_ps(0.5f)));
+}
+
+// find_positions() for the 16 pixels from i.
+LFRIG_AVX512 inline void find_sixteen(const PairPicture &picture, const float *field, float dr, float dc, int x0, int y,
+                                      int count, int i, Positions &at) {
+    const __m512 lane = _mm512_setr_ps(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
+    const __m512 pad = _mm512_set1_ps(float(picture.pad));
+    const int left = std::min(std::max(count - i, 0), 16);
+    const __m512 given = _mm512_maskz_loadu_ps(__mmask16((1u << left) - 1u), field + x0 + i);
+    const __mmask16 finite = _mm512_cmp_ps_mask(_mm512_sub_ps(given, given), _mm512_setzero_ps(), _CMP_EQ_OQ);
+    const __m512 d = _mm512_maskz_mov_ps(finite, given);
+    const __m512 x = _mm512_add_ps(_mm512_set1_ps(float(x0 + i)), lane), v = _mm512_set1_ps(float(y));
+    const __m512i qx = fixed_positions(
+        _mm512_add_ps(_mm512_add_ps(x, _mm512_mul_ps(_mm512_set1_ps(dc), d)), pad), picture.width);
+    const __m512i qy = fixed_positions(
+        _mm512_add_ps(_mm512_add_ps(v, _mm512_mul_ps(_mm512_set1_ps(dr), d)), pad), picture.height);
+    const __m512i one = _mm512_set1_epi32(1), fraction = _mm512_set1_epi32(FRACTIONS - 1);
+    const __m512i row = _mm512_sub_epi32(_mm512_srli_epi32(qy, FRACTION_BITS), one);
+    const __m512i column = _mm512_sub_epi32(_mm512_srli_epi32(qx, FRACTION_BITS), one);
+    const __m512i tap = _mm512_add_epi32(_mm512_mullo_epi32(row, _mm512_set1_epi32(picture.width)), column);
+    _mm512_store_si512(at.start + i, _mm512_slli_epi32(tap, 3));
+    _mm512_store_si512(at.tx + i, _mm512_and_si512(qx, fraction));
+    _mm512_store_si512(at.ty + i, _mm512_and_si512(qy, fraction));
+}
+
 LFRIG_AVX512 void sample_row_avx512(const PairPicture &picture, const Taps &taps, const float *field, float dr,
                                     float dc, int y, int count, uint8_t *out) {
     Positions at;
@@ -77,7 +102,9 @@ LFRIG_AVX512 void sample_row_avx512(const PairPicture &picture, const Taps &taps
     const __m128i drop_fourth = _mm_setr_epi8(0, 1, 2, 4, 5, 6, 8, 9, 10, 12, 13, 14, -1, -1, -1, -1);
     for (int x0 = 0; x0 < count; x0 += BLOCK) {
         const int n = std::min(BLOCK, count - x0);
-        find_positions(picture, field, dr, dc, x0, y, n, at);
+        for (int i = 0; i < BLOCK; i += 16) find_sixteen(picture, field, dr, dc, x0, y, n, i, at);
+        // Four pixels are written as 16 bytes, of which the next ones overwrite the last four.
+        uint8_t *to = count - x0 > BLOCK ? out + 3 * size_t(x0) : bytes;
         for (int i = 0; i < n; i += 4) {
             __m512 column[4];
             for (int j = 0; j < 4; ++j) {
@@ -98,9 +125,9 @@ LFRIG_AVX512 void sample_row_avx512(const PairPicture &picture, const Taps &taps
             const __m512 grey = _mm512_add_ps(_mm512_mul_ps(four, _mm512_set1_ps(TO_GREY)), _mm512_set1_ps(0.5f));
             const __m512i whole = _mm512_max_epi32(_mm512_cvttps_epi32(grey), _mm512_setzero_si512());
             const __m128i rgb = _mm_shuffle_epi8(_mm512_cvtusepi32_epi8(whole), drop_fourth);
-            _mm_storeu_si128(reinterpret_cast<__m128i *>(bytes + 3 * i), rgb);
+            _mm_storeu_si128(reinterpret_cast<__m128i *>(to + 3 * i), rgb);
         }
-        std::memcpy(out + 3 * size_t(x0), bytes, 3 * size_t(n));
+        if (to == bytes) std::memcpy(out + 3 * size_t(x0), bytes, 3 * size_t(n));
     }
 }
 #endif
