@@ -103,8 +103,8 @@ LFRIG_AVX512 void sample_row_avx512(const PairPicture &picture, const Taps &taps
     for (int x0 = 0; x0 < count; x0 += BLOCK) {
         const int n = std::min(BLOCK, count - x0);
         for (int i = 0; i < BLOCK; i += 16) find_sixteen(picture, field, dr, dc, x0, y, n, i, at);
-        // Four pixels are written as 16 bytes, of which the next ones overwrite the last four.
-        uint8_t *to = count - x0 > BLOCK ? out + 3 * size_t(x0) : bytes;
+        // Four pixels are written as 16 bytes, the last four of which belong to the next two pixels.
+        uint8_t *to = count - x0 >= BLOCK + 2 ? out + 3 * size_t(x0) : bytes;
         for (int i = 0; i < n; i += 4) {
             __m512 column[4];
             for (int j = 0; j < 4; ++j) {

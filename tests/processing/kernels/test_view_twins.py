@@ -19,6 +19,13 @@ pytestmark = pytest.mark.skipif(
     find_spec("lfrig.processing.kernels._native") is None, reason="no native core here: only the twins exist"
 )
 
+
+@pytest.fixture(autouse=True)
+def native(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever the environment says: these tests are about the native form."""
+    monkeypatch.setenv("LFRIG_NATIVE", "1")
+
+
 OFFSETS = np.array([[-3, -3], [-3, 2], [0, 0], [0, 1], [0.5, -0.5], [2, 0], [3, 3]], np.float32)
 
 
@@ -125,7 +132,7 @@ def test_layered_views_refuse_wrong_shapes() -> None:
         render(image[:, 1:], disparity[:, 1:].copy(), layers)
 
 
-@pytest.mark.parametrize("shape", [(1, 1), (5, 9), (20, 200)])
+@pytest.mark.parametrize("shape", [(1, 1), (5, 9), (40, 64), (40, 65), (40, 66), (20, 200)])
 def test_warp_has_the_bits_of_its_plain_loops(shape) -> None:
     rng = np.random.default_rng(1)
     image = rng.integers(0, 256, (*shape, 3)).astype(np.uint8)
