@@ -1,6 +1,8 @@
-// Which hand-written form of a loop this machine can run. Each has a plain form beside it that gives the same bits.
+// Which hand-written form of a loop this machine can run (each has a plain form beside it that gives the same bits), and
+// the clock of the calling thread.
 #pragma once
 #include <atomic>
+#include <ctime>
 
 #if defined(__x86_64__) && defined(__GNUC__)
 #define LFRIG_X86 1
@@ -21,6 +23,17 @@ inline bool has_avx512() {
     return has;
 #else
     return false;
+#endif
+}
+
+// CPU seconds of the calling thread; where there is no such clock, of the process.
+inline double thread_cpu_s() {
+#ifdef CLOCK_THREAD_CPUTIME_ID
+    timespec now{};
+    clock_gettime(CLOCK_THREAD_CPUTIME_ID, &now);
+    return double(now.tv_sec) + 1e-9 * double(now.tv_nsec);
+#else
+    return double(std::clock()) / CLOCKS_PER_SEC;
 #endif
 }
 

@@ -1,6 +1,7 @@
 // The views of a light field from its centre view, the centre's disparity and its two layers. Twin: layered_views.py.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
+#include <nanobind/stl/pair.h>
 
 #include <algorithm>
 #include <atomic>
@@ -8,6 +9,7 @@
 #include <cstdint>
 #include <limits>
 #include <stdexcept>
+#include <utility>
 #include <vector>
 
 #include "lfrig/parallel.hpp"
@@ -82,6 +84,12 @@ struct Spots {
 
 constexpr float ANY = std::numeric_limits<float>::infinity();
 
+// Pixels near steps, and the CPU seconds that their disparity took.
+struct Work {
+    int64_t pixels = 0;
+    double cpu_s = 0.0;
+};
+
 // One view at a time.
 template <class T, class Photo>
 class Painter {
@@ -90,14 +98,13 @@ class Painter {
         : photo_(photo), layers_(layers), knobs_(source.knobs), height_(source.surface.height),
           width_(source.surface.width), field_(source), carried_(layers.near_drawn) {}
 
-    // Returns the number of pixels near steps.
-    int64_t paint(float dr, float dc, T *out) {
+    Work paint(float dr, float dc, T *out) {
         field_.find(dr, dc);
         for (int y = 0; y < height_; ++y)
             photo_.row(field_.row(y), dr, dc, y, width_, out + size_t(y) * width_ * 3);
         paint_far(dr, dc, out);
         paint_near_edges(dr, dc, out);
-        return int64_t(field_.xs().size());
+        return {int64_t(field_.xs().size()), field_.worked_s()};
     }
 
   private:
@@ -186,9 +193,9 @@ void check(const A &array, int height, int width, int channels = 0) {
         throw std::invalid_argument("layered_views: shapes do not match");
 }
 
-// Returns the number of pixels, over all views, that were near steps.
+// Returns the number of pixels, over all views, that were near steps, and the CPU seconds that their disparity took.
 template <class T, class Photo>
-int64_t layered_views(ndarray<const T, nb::ndim<3>, nb::c_contig, nb::device::cpu> image, Floats<2> disparity,
+std::pair<int64_t, double> layered_views(ndarray<const T, nb::ndim<3>, nb::c_contig, nb::device::cpu> image, Floats<2> disparity,
                       Floats<2> behind, Floats<3> far_grey, Floats<2> near_px, Floats<3> near_grey, Flags near_drawn,
                       Flags far_drawn, Floats<2> offsets,
                       ndarray<T, nb::ndim<4>, nb::c_contig, nb::device::cpu> out, float match_px, float hidden_px,
@@ -200,7 +207,7 @@ int64_t layered_views(ndarray<const T, nb::ndim<3>, nb::c_contig, nb::device::cp
     if (offsets.shape(1) != 2 || int(out.shape(0)) != views || int(out.shape(1)) != height ||
         int(out.shape(2)) != width || out.shape(3) != 3)
         throw std::invalid_argument("layered_views: shapes do not match");
-    if (height == 0 || width == 0 || views == 0) return 0;
+    if (height == 0 || width == 0 || views == 0) return {0, 0.0};
     const T *pixels = image.data();
     const float *far = far_grey.data(), *near = near_grey.data(), *offset = offsets.data(), *d = disparity.data();
     const uint8_t *near_flag = near_drawn.data(), *far_flag = far_drawn.data();
@@ -230,7 +237,7 @@ int64_t layered_views(ndarray<const T, nb::ndim<3>, nb::c_contig, nb::device::cp
     }
     const FieldSource source(d, far_flag, height, width, reach_rows, reach_cols, {match_px, hidden_px, certain});
     const Photo sampled(photo);
-    std::vector<int64_t> near_steps(views);
+    std::vector<Work> near_steps(views);
     // As many items as threads, each with its own memory; which thread draws a view does not change it.
     std::atomic<int> next{0};
     const int painters = std::min(views, threads > 0 ? threads : int(std::max(1u, std::thread::hardware_concurrency())));
@@ -244,9 +251,9 @@ int64_t layered_views(ndarray<const T, nb::ndim<3>, nb::c_contig, nb::device::cp
                 near_steps[v] = painter.paint(offset[2 * v], offset[2 * v + 1], view);
         }
     });
-    int64_t total = 0;
-    for (const int64_t count : near_steps) total += count;
-    return total;
+    Work total;
+    for (const Work &work : near_steps) total.pixels += work.pixels, total.cpu_s += work.cpu_s;
+    return {total.pixels, total.cpu_s};
 }
 
 template <class T, class Photo>

@@ -7,6 +7,7 @@ layer stands in, and at depth steps the near layer is put over it. C++ form: ``l
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import cast
@@ -53,7 +54,7 @@ def layered_views(
     hidden_px: float,
     certain: bool = True,
     threads: int = 0,
-) -> tuple[Image, int]:
+) -> tuple[Image, int, float]:
     """Render V views.
 
     Parameters
@@ -74,6 +75,8 @@ def layered_views(
     views : uint8 or uint16 [V, H, W, 3]
     worked : int
         Pixels, over all views, that had the whole treatment.
+    cpu_s : float
+        What their disparity cost [CPU s].
     """
     height, width = image.shape[:2]
     if image.shape[2:] != (3,) or disparity.shape != (height, width) or offsets.shape[1:] != (2,):
@@ -81,20 +84,21 @@ def layered_views(
     out = np.empty((len(offsets), *image.shape), image.dtype)
     native = load_native("lfrig.processing.kernels._native")
     if native is None:
+        start = time.process_time()
         view = _numpy_views(image, disparity, layers, match_px, hidden_px)
         for v, (dr, dc) in enumerate(offsets):
             out[v] = view(float(dr), float(dc)) if dr or dc else image
-        return cast(Image, out), out[..., 0].size
+        return cast(Image, out), int(offsets.any(1).sum()) * height * width, time.process_time() - start
     maps = (disparity, layers.behind_px, layers.far_grey, layers.near_px, layers.near_grey)
     flags = (np.ascontiguousarray(flag).view(np.uint8) for flag in (layers.near_drawn, layers.far_drawn))
-    worked = native.layered_views(
+    worked, cpu_s = native.layered_views(
         np.ascontiguousarray(image),
         *(np.ascontiguousarray(a, np.float32) for a in maps),
         *flags,
         np.ascontiguousarray(offsets, np.float32),
         out, match_px, hidden_px, certain, threads,
     )  # fmt: skip
-    return cast(Image, out), int(worked)
+    return cast(Image, out), int(worked), float(cpu_s)
 
 
 def _numpy_views(

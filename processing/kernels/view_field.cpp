@@ -291,11 +291,14 @@ void ViewField::find(float dr, float dc) {
     } else {
         std::fill(mask_.begin(), mask_.end(), uint8_t(1));
     }
+    const double start = thread_cpu_s();
     list_marked();
-    if (xs_.empty()) return;
-    splat(dr, dc);
-    fill_holes();
-    polish(dr, dc);
+    if (!xs_.empty()) {
+        splat(dr, dc);
+        fill_holes();
+        polish(dr, dc);
+    }
+    worked_s_ = thread_cpu_s() - start;
 }
 
 // A pixel of the view has one smooth surface before it unless a ray through it meets a steep cell at a disparity that

@@ -79,6 +79,8 @@ class ViewField {
     explicit ViewField(const FieldSource &source);
 
     void find(float dr, float dc);
+    // CPU seconds that find() spent on the pixels near steps.
+    double worked_s() const { return worked_s_; }
 
     const float *row(int y) const { return field_.data() + size_t(y + 1) * stride_ + 1; }
     // The same with one pixel of border around, as z() has it.
@@ -102,6 +104,7 @@ class ViewField {
 
     const FieldSource &source_;
     int height_, width_, stride_, mask_stride_;
+    double worked_s_ = 0.0;
     std::vector<float> field_, z_;
     std::vector<uint8_t> mask_, across_, wanted_;
     Carried carried_;

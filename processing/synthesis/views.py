@@ -99,12 +99,12 @@ def _layered(
     scale = np.float32(1 if image.dtype == np.uint8 else 257)
     reach_px = _reach_px(disparity, float(np.abs(offsets).max(initial=0)), settings)
     layers = split_layers(image.astype(np.float32) / scale, disparity, reach_px, settings)
-    with (tally or Tally()).timed("certain", "pixels of views") as count:
-        views, worked = layered_views(
-            image, disparity, layers, offsets, match_px=settings.match_px, hidden_px=settings.hidden_px,
-            certain=skips.certain, threads=threads,
-        )  # fmt: skip
-        count.done, count.skipped = worked, views[..., 0].size - worked
+    views, worked, cpu_s = layered_views(
+        image, disparity, layers, offsets, match_px=settings.match_px, hidden_px=settings.hidden_px,
+        certain=skips.certain, threads=threads,
+    )  # fmt: skip
+    if tally:
+        tally.add("certain", worked, views[..., 0].size - worked, "pixels of views", cpu_s)
     return views
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from lfrig.processing.kernels.rims import grow, peel
+from lfrig.processing.skipping import SKIP_ALL, Tally
 from lfrig.processing.synthesis import SynthesisSettings, fill_nan, render_views, view_field, view_offsets
 from lfrig.processing.synthesis.matte import split_layers
 from tests.processing import scenes
@@ -153,6 +154,17 @@ def test_hidden_pixels_take_no_foreground_colour() -> None:
     moved = (xs >= 27) & (xs < 43)
     uncovered = ~moved & (xs >= 10) & (xs < 50)
     assert view[uncovered][:, 0].max() < 25 and view[moved][:, 0].min() > 230
+
+
+def test_what_is_smooth_is_counted_as_left_out(exact) -> None:
+    image, disparity, _ = exact
+    tally, whole = Tally(), Tally()
+    render_views(image, disparity, 3, 3, tally=tally)
+    render_views(image, disparity, 3, 3, tally=whole, skips=SKIP_ALL.without("certain"))
+    count = tally.counts["certain"]
+    assert count.done + count.skipped == whole.counts["certain"].done + whole.counts["certain"].skipped
+    assert count.done + count.skipped == 9 * disparity.size
+    assert whole.counts["certain"].done >= 8 * disparity.size >= count.done
 
 
 @pytest.mark.parametrize("method", ["layered", "z_buffer"])

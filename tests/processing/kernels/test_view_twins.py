@@ -86,8 +86,8 @@ def test_layered_views_leave_out_what_cannot_matter(amplitude) -> None:
     image, disparity = scene((90, 141), amplitude=amplitude)
     layers = layers_of(image, disparity)
     options = {"match_px": 0.08, "hidden_px": 0.06}
-    part, worked = layered_views(image, disparity, layers, OFFSETS, certain=True, **options)
-    whole, everything = layered_views(image, disparity, layers, OFFSETS, certain=False, **options)
+    part, worked, _ = layered_views(image, disparity, layers, OFFSETS, certain=True, **options)
+    whole, everything, _ = layered_views(image, disparity, layers, OFFSETS, certain=False, **options)
     assert everything == (len(OFFSETS) - 1) * disparity.size
     assert worked < 0.5 * everything or amplitude > 1
     assert np.mean(np.abs(part.astype(int) - whole.astype(int)) > 1) < 1e-3
@@ -97,7 +97,7 @@ def test_a_plane_needs_work_only_beyond_the_frame() -> None:
     image, _ = scene((40, 70))
     plane = np.full((40, 70), 0.7, np.float32)
     layers = layers_of(image, plane)
-    _, worked = layered_views(image, plane, layers, OFFSETS, match_px=0.08, hidden_px=0.06)
+    _, worked, _ = layered_views(image, plane, layers, OFFSETS, match_px=0.08, hidden_px=0.06)
     shifts = np.ceil(0.7 * np.abs(OFFSETS) - 0.5).astype(int)
     assert worked == sum(40 * 70 - (40 - dy) * (70 - dx) for dy, dx in shifts)
 
