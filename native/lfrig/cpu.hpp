@@ -1,5 +1,5 @@
-// Which hand-written form of a loop this machine can run (each has a plain form beside it that gives the same bits), and
-// the clock of the calling thread.
+// Which hand-written form of a loop this machine can run (each has a plain form beside it that gives the same bits),
+// and the clock of the calling thread.
 #pragma once
 #include <atomic>
 #include <ctime>

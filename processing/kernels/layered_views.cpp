@@ -195,7 +195,8 @@ void check(const A &array, int height, int width, int channels = 0) {
 
 // Returns the number of pixels, over all views, that were near steps, and the CPU seconds that their disparity took.
 template <class T, class Photo>
-std::pair<int64_t, double> layered_views(ndarray<const T, nb::ndim<3>, nb::c_contig, nb::device::cpu> image, Floats<2> disparity,
+std::pair<int64_t, double> layered_views(
+    ndarray<const T, nb::ndim<3>, nb::c_contig, nb::device::cpu> image, Floats<2> disparity,
                       Floats<2> behind, Floats<3> far_grey, Floats<2> near_px, Floats<3> near_grey, Flags near_drawn,
                       Flags far_drawn, Floats<2> offsets,
                       ndarray<T, nb::ndim<4>, nb::c_contig, nb::device::cpu> out, float match_px, float hidden_px,
@@ -240,7 +241,8 @@ std::pair<int64_t, double> layered_views(ndarray<const T, nb::ndim<3>, nb::c_con
     std::vector<Work> near_steps(views);
     // As many items as threads, each with its own memory; which thread draws a view does not change it.
     std::atomic<int> next{0};
-    const int painters = std::min(views, threads > 0 ? threads : int(std::max(1u, std::thread::hardware_concurrency())));
+    const int cores = int(std::max(1u, std::thread::hardware_concurrency()));
+    const int painters = std::min(views, threads > 0 ? threads : cores);
     parallel_for(painters, painters, [&](int) {
         Painter<T, Photo> painter(sampled, layers, source);
         for (int v; (v = next.fetch_add(1)) < views;) {

@@ -31,7 +31,8 @@ void sample_pairs_row(const PairPicture &picture, const Taps &taps, const float 
 void sample_float_row(const float *picture, int height, int width, int pad, Kernel kernel, const float *field,
                       float dr, float dc, int y, int count, float scale, uint16_t *out);
 
-// All four channels at single pixels of a view: out[i] = picture(ys[i] + dr * px[i], xs[i] + dc * px[i]), float32 [n, 4].
+// All four channels at single pixels of a view: float32 [n, 4],
+// out[i] = picture(ys[i] + dr * px[i], xs[i] + dc * px[i]).
 void sample_float_list(const float *picture, int height, int width, int pad, const Taps &taps, const int32_t *xs,
                        const int32_t *ys, const float *px, int count, float dr, float dc, float *out);
 

@@ -25,6 +25,11 @@ struct Surface {
     }
 };
 
+// Fixed-point iteration field <- d(u + field * offset) of row y of a view, from the centre's disparity, until no pixel
+// of 16 moves by more than `limit`. Masked pixels need not settle; those that do not, or lie beyond the frame, become
+// masked.
+void settle_row(const Surface &d, int y, float dr, float dc, float limit, float *field, uint8_t *mask);
+
 // Fixed-point iteration of a list of pixels of a view: px[i] <- surface.at(xs[i] + dc * px[i], ys[i] + dr * px[i])
 // where that moves it by less than `limit`, for so many rounds or until its neighbours in the list stand still too.
 // `samples` gets what the surface has at the px that came out of it, to within 1e-4.
