@@ -196,11 +196,10 @@ void check(const A &array, int height, int width, int channels = 0) {
 // Returns the number of pixels, over all views, that were near steps, and the CPU seconds that their disparity took.
 template <class T, class Photo>
 std::pair<int64_t, double> layered_views(
-    ndarray<const T, nb::ndim<3>, nb::c_contig, nb::device::cpu> image, Floats<2> disparity,
-                      Floats<2> behind, Floats<3> far_grey, Floats<2> near_px, Floats<3> near_grey, Flags near_drawn,
-                      Flags far_drawn, Floats<2> offsets,
-                      ndarray<T, nb::ndim<4>, nb::c_contig, nb::device::cpu> out, float match_px, float hidden_px,
-                      bool certain, int threads) {
+    ndarray<const T, nb::ndim<3>, nb::c_contig, nb::device::cpu> image, Floats<2> disparity, Floats<2> behind,
+    Floats<3> far_grey, Floats<2> near_px, Floats<3> near_grey, Flags near_drawn, Flags far_drawn, Floats<2> offsets,
+    ndarray<T, nb::ndim<4>, nb::c_contig, nb::device::cpu> out, float match_px, float hidden_px, bool certain,
+    int threads) {
     const int height = int(image.shape(0)), width = int(image.shape(1)), views = int(offsets.shape(0));
     check(image, height, width, 3), check(disparity, height, width), check(behind, height, width);
     check(far_grey, height, width, 3), check(near_px, height, width), check(near_grey, height, width, 4);
