@@ -4,6 +4,7 @@
 namespace nb = nanobind;
 
 void register_band_cost(nb::module_ &m);
+void register_bundle(nb::module_ &m);
 void register_colour_evidence(nb::module_ &m);
 void register_fusion(nb::module_ &m);
 void register_lenslet(nb::module_ &m);
@@ -18,6 +19,7 @@ void register_warp(nb::module_ &m);
 NB_MODULE(_native, m) {
     m.doc() = "lfrig's native kernels; each has a NumPy twin in the Python file of its name.";
     register_band_cost(m);
+    register_bundle(m);
     register_colour_evidence(m);
     register_fusion(m);
     register_lenslet(m);

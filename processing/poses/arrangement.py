@@ -11,12 +11,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lfrig.processing.geometry import rotation_z
+from lfrig.processing.kernels.bundle import LOCAL, view_table
 from lfrig.processing.model import F64, Camera, Pose, ScaleFit
 
-LOCAL = 9
-"""Parameters that a residual of one view sees: rotation (3) and translation (3) applied on the left, and the logarithms
-of focal length, baseline and inverse focus distance."""
+Rigid = tuple[F64, F64]
+"""Rotations [..., 3, 3] and translations [..., 3]."""
 
 BLUNDER = 4.0
 """Beyond this many sigmas a turntable angle, a focal length or recorded optics count as a blunder and lose their pull
@@ -135,7 +134,7 @@ class Arrangement:
 
     def poses(self, x: F64) -> tuple[Pose, ...]:
         """Camera poses at parameters x."""
-        return tuple(self._chain(x, v)[-1] for v in range(len(self.views)))
+        return tuple(Pose(r, t) for r, t in zip(*self._chain(x)[1], strict=True))
 
     def cameras(self, x: F64) -> tuple[Camera, ...]:
         """Cameras at parameters x."""
@@ -158,29 +157,52 @@ class Arrangement:
             for v, view in enumerate(self.views)
         )
 
-    def _chain(self, x: F64, v: int) -> tuple[Pose, Pose]:
-        """Pose of view v before its wobble, and with it."""
-        view = self.views[v]
-        mount, g = self.mounts[view.mount], view.mount
-        corrected = moved(x[6 * g : 6 * g + 6], mount)
-        turn = rotation_z(np.deg2rad(view.angle_deg) + x[self.turns.start + v])
-        before = Pose(corrected.rotation @ turn, corrected.translation)
-        return before, moved(x[self.wobble(v)], before)
+    def view_table(self, x: F64) -> F64:
+        """Poses, cameras and lines at parameters x as the kernels of the adjustment take them, float64 [V, 17]."""
+        rotation, translation = self._chain(x)[1]
+        cameras = np.array([(v.camera.focal_px, v.camera.cx, v.camera.cy) for v in self.views])
+        lines = np.array([(0.0, 0.0) if v.line is None else (v.line.baseline_m, v.line.inverse_focus) for v in self.views])
+        focal = cameras[:, 0] * np.exp(x[self.log_focals])
+        return view_table(
+            rotation, translation, focal, cameras[:, 1:], lines * np.exp(x[self.log_lines]).reshape(-1, 2)
+        )
+
+    def _chain(self, x: F64) -> tuple[Rigid, Rigid]:
+        """Rotations [V, 3, 3] and translations [V, 3] of all views before their wobble, and with it."""
+        mount = np.array([v.mount for v in self.views])
+        rotation, translation = np.stack([m.rotation for m in self.mounts]), np.stack([m.translation for m in self.mounts])
+        corrected = _after(x[: 6 * len(self.mounts)].reshape(-1, 6), (rotation, translation))
+        angle = np.deg2rad([v.angle_deg for v in self.views]) + x[self.turns]
+        turn = np.zeros((len(self.views), 3, 3))
+        turn[:, 0, 0] = turn[:, 1, 1] = np.cos(angle)
+        turn[:, 1, 0] = np.sin(angle)
+        turn[:, 0, 1] = -turn[:, 1, 0]
+        turn[:, 2, 2] = 1
+        before = corrected[0][mount] @ turn, corrected[1][mount]
+        return before, _after(self._wobbles(x), before)
+
+    def _wobbles(self, x: F64) -> F64:
+        """All views' wobbles [V, 6]."""
+        return x[self.turns.stop : self.log_focals.start].reshape(-1, 6)
 
     def local_derivative(self, x: F64) -> F64:
         """Motion of each view's local parameters with x, float64 [V, LOCAL, size]."""
-        table = np.zeros((len(self.views), LOCAL, self.size))
-        for v, view in enumerate(self.views):
-            wobble = x[self.wobble(v)]
-            before = self._chain(x, v)[0]
-            lift = adjoint(wobble)
-            correction = slice(6 * view.mount, 6 * view.mount + 6)
-            table[v, :6, correction] = lift @ motion_derivative(x[correction])
-            axis = before.rotation[:, 2]
-            table[v, :6, self.turns.start + v] = lift @ np.r_[axis, -np.cross(axis, before.translation)]
-            table[v, :6, self.wobble(v)] = motion_derivative(wobble)
-            table[v, 6, self.log_focals.start + v] = 1.0
-            table[v, [7, 8], [self.log_lines.start + 2 * v, self.log_lines.start + 2 * v + 1]] = 1.0
+        count, own = len(self.views), np.arange(len(self.views))
+        table = np.zeros((count, LOCAL, self.size))
+        (rotation, translation), _ = self._chain(x)
+        mount = np.array([v.mount for v in self.views])
+        wobbles, corrections = self._wobbles(x), x[: 6 * len(self.mounts)].reshape(-1, 6)
+        lift = adjoint(wobbles)
+        by_mount, by_wobble = motion_derivative(corrections)[mount], motion_derivative(wobbles)
+        for v in range(count):
+            table[v, :6, 6 * mount[v] : 6 * mount[v] + 6] = lift[v] @ by_mount[v]
+            table[v, :6, self.wobble(v)] = by_wobble[v]
+        axis = rotation[:, :, 2]
+        swing = np.concatenate([axis, -np.cross(axis, translation)], 1)
+        table[own, :6, self.turns.start + own] = (lift @ swing[:, :, None])[:, :, 0]
+        table[own, 6, self.log_focals.start + own] = 1.0
+        for k in (0, 1):
+            table[own, 7 + k, self.log_lines.start + 2 * own + k] = 1.0
         return table
 
     def start_at(self, x: F64, view: int, pose: Pose) -> F64:
@@ -191,59 +213,74 @@ class Arrangement:
         g = self.views[view].mount
         x[6 * g : 6 * g + 6] = 0
         x[self.wobble(view)] = 0
-        before = self._chain(x, view)[0]
-        turn = pose.rotation @ before.rotation.T
-        x[6 * g : 6 * g + 6] = np.r_[rotation_vector(turn), pose.translation - turn @ before.translation]
+        rotation, translation = (part[view] for part in self._chain(x)[0])
+        turn = pose.rotation @ rotation.T
+        x[6 * g : 6 * g + 6] = np.r_[rotation_vector(turn), pose.translation - turn @ translation]
         return x
 
 
+
 def skew(v: F64) -> F64:
-    """[v]× with ``skew(v) @ p = v × p``."""
-    return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
+    """[v]× with ``skew(v) @ p = v × p``, [..., 3, 3] from [..., 3]."""
+    out = np.zeros((*v.shape, 3))
+    for i, j, k in ((2, 1, 0), (0, 2, 1), (1, 0, 2)):
+        out[..., i, j], out[..., j, i] = v[..., k], -v[..., k]
+    return out
+
+
+def _angles(vector: F64) -> tuple[F64, F64, F64]:
+    """For rotation vectors [..., 3]: sin(a)/a, (1 − cos a)/a² and (a − sin a)/a³ of their angles a, [..., 1, 1] each."""
+    angle = np.linalg.norm(vector, axis=-1)[..., None, None]
+    # Series where the quotients lose their digits.
+    small = angle < 1e-4
+    a = np.where(small, 1.0, angle)
+    return (
+        np.where(small, 1 - angle**2 / 6, np.sin(a) / a),
+        np.where(small, 0.5 - angle**2 / 24, (1 - np.cos(a)) / a**2),
+        np.where(small, 1 / 6, (a - np.sin(a)) / a**3),
+    )
 
 
 def rotation_matrix(vector: F64) -> F64:
-    """Rodrigues' formula: rotation by |vector| rad about it."""
-    angle = float(np.linalg.norm(vector))
+    """Rodrigues' formula: rotation by |vector| rad about it, [..., 3, 3] from [..., 3]."""
+    first, second, _ = _angles(vector)
     s = skew(vector)
-    if angle < 1e-4:
-        # Series of sin(a)/a and (1 − cos a)/a²: the quotients lose their digits here.
-        return np.eye(3) + (1 - angle**2 / 6) * s + (0.5 - angle**2 / 24) * s @ s
-    return np.asarray(np.eye(3) + np.sin(angle) / angle * s + (1 - np.cos(angle)) / angle**2 * s @ s, np.float64)
+    return np.asarray(np.eye(3) + first * s + second * (s @ s), np.float64)
 
 
 def rotation_vector(rotation: F64) -> F64:
-    """Inverse of `rotation_matrix` for angles below 180°."""
+    """Inverse of `rotation_matrix` [3] for angles below 180°."""
     import cv2
 
     return np.asarray(cv2.Rodrigues(rotation)[0], np.float64).reshape(3)
 
 
+def _after(motion: F64, rigid: Rigid) -> Rigid:
+    """What ``X → rotation_matrix(motion[:3]) X + motion[3:]`` in the cameras' frames makes of poses; motions [K, 6]."""
+    turn = rotation_matrix(motion[..., :3])
+    return turn @ rigid[0], (turn @ rigid[1][..., None])[..., 0] + motion[..., 3:]
+
+
 def moved(motion: F64, pose: Pose) -> Pose:
     """The pose after ``X → rotation_matrix(motion[:3]) X + motion[3:]`` in the camera's frame."""
-    turn = rotation_matrix(motion[:3])
-    return Pose(turn @ pose.rotation, turn @ pose.translation + motion[3:])
+    return Pose(*_after(motion, (pose.rotation, pose.translation)))
 
 
 def adjoint(motion: F64) -> F64:
-    """[6, 6]: a small left motion before ``motion`` as a small left motion after it."""
-    turn = rotation_matrix(motion[:3])
-    table = np.zeros((6, 6))
-    table[:3, :3] = table[3:, 3:] = turn
-    table[3:, :3] = skew(motion[3:]) @ turn
+    """[..., 6, 6]: a small left motion before ``motion`` [..., 6] as a small left motion after it."""
+    turn = rotation_matrix(motion[..., :3])
+    table = np.zeros((*motion.shape, 6))
+    table[..., :3, :3] = table[..., 3:, 3:] = turn
+    table[..., 3:, :3] = skew(motion[..., 3:]) @ turn
     return table
 
 
 def motion_derivative(motion: F64) -> F64:
-    """[6, 6]: change of ``motion``'s six numbers as a small left motion after it (left Jacobian of SO(3))."""
-    w = motion[:3]
-    angle = float(np.linalg.norm(w))
-    s = skew(w)
-    if angle < 1e-4:
-        left = np.eye(3) + 0.5 * s + s @ s / 6
-    else:
-        left = np.eye(3) + (1 - np.cos(angle)) / angle**2 * s + (angle - np.sin(angle)) / angle**3 * s @ s
-    table = np.eye(6)
-    table[:3, :3] = left
-    table[3:, :3] = skew(motion[3:]) @ left
+    """[..., 6, 6]: change of ``motion``'s six numbers as a small left motion after it (left Jacobian of SO(3))."""
+    _, second, third = _angles(motion[..., :3])
+    s = skew(motion[..., :3])
+    left = np.eye(3) + second * s + third * (s @ s)
+    table = np.zeros((*motion.shape, 6))
+    table[..., :3, :3], table[..., 3:, 3:] = left, np.eye(3)
+    table[..., 3:, :3] = skew(motion[..., 3:]) @ left
     return table

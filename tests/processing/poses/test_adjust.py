@@ -215,9 +215,9 @@ def test_disparity_derivatives_against_differences(studio, points):
         e[column] = step
         changed = (linear(x + e).residual - linear(x - e).residual)[:, 0] / (2 * step)
         for m in range(len(changed)):
-            pose = arrangement.poses(x)[here.view[m]]
-            local = pose.rotation @ points[here.point[m]] + pose.translation
-            move = chain[here.view[m], :, column]
+            pose = arrangement.poses(x)[block.view[m]]
+            local = pose.rotation @ points[block.point[m]] + pose.translation
+            move = chain[block.view[m], :, column]
             motion = np.cross(move[:3], local) + move[3:6]
             expected = here.d_local[m, 0] @ motion + here.d_inner[m, 0] @ move[6:]
             assert expected == pytest.approx(changed[m], rel=1e-4, abs=1e-4)

@@ -1,0 +1,319 @@
+// Normal equations of a bundle adjustment, points eliminated by their Schur complement. Twin: bundle.py.
+//
+// One thread: what a handful of cameras and some thousand points cost is less than what starting threads does, and
+// sums in one order are the same bits everywhere.
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <stdexcept>
+#include <vector>
+
+#include "lfrig/parallel.hpp"
+
+namespace nb = nanobind;
+using nb::ndarray;
+
+namespace {
+
+constexpr int kLocal = 9;      // parameters of a view: rotation, translation, log focal, baseline, inverse focus
+constexpr int kView = 17;      // numbers of a view: R, t, focal, principal point, baseline, inverse focus
+constexpr int kKinds = 3;      // residuals of a sighting: x, y, disparity
+constexpr double kCauchy = 2;  // a residual of this many sigmas has half the weight of a small one
+constexpr double kNear = 1e-6;
+constexpr double kFlush = 1e100;  // products of costs are taken apart before they overflow
+
+struct Sighting {  // residuals in sigmas and their derivatives, by the point in the camera's frame and by the view
+    double residual[kKinds];
+    double local[kKinds][3];
+    double by_view[kKinds][kLocal];
+    double weight[kKinds];
+};
+
+struct Table {  // sightings sorted by point
+    const int32_t *point, *view;
+    const double *measured, *inverse_sigma;  // [M, 3] x, y, disparity; [M, 2] of pixels, of disparity (0 = not seen)
+    int count;
+};
+
+// The camera's frame, and residuals with their squared lengths, of pixels and of disparity.
+inline void residuals(const double *v, const double *x, const double *measured, const double *inverse_sigma,
+                      double *p, double *residual, double &pixels, double &disparity) {
+    for (int i = 0; i < 3; ++i) p[i] = v[3 * i] * x[0] + v[3 * i + 1] * x[1] + v[3 * i + 2] * x[2] + v[9 + i];
+    // Behind the camera the projection is meaningless: held just in front, its residual is huge and loses weight.
+    const double inverse = 1 / std::max(p[2], kNear), focal = v[12];
+    for (int i = 0; i < 2; ++i)
+        residual[i] = (p[i] * inverse * focal + v[13 + i] - measured[i]) * inverse_sigma[0];
+    residual[2] = (focal * v[15] * (inverse - v[16]) - measured[2]) * inverse_sigma[1];
+    pixels = residual[0] * residual[0] + residual[1] * residual[1];
+    disparity = residual[2] * residual[2];
+}
+
+inline void derivatives(const double *v, const double *p, const double *inverse_sigma, Sighting &s) {
+    const double inverse = 1 / std::max(p[2], kNear), focal = v[12];
+    const double scale = focal * inverse * inverse_sigma[0];
+    for (int i = 0; i < 2; ++i) {
+        const double slope = p[i] * inverse;
+        s.local[i][0] = i == 0 ? scale : 0.0;
+        s.local[i][1] = i == 1 ? scale : 0.0;
+        s.local[i][2] = -slope * scale;
+        s.by_view[i][6] = slope * focal * inverse_sigma[0];
+        s.by_view[i][7] = s.by_view[i][8] = 0;
+    }
+    const double slope = focal * v[15] * inverse_sigma[1], expected = slope * (inverse - v[16]);
+    s.local[2][0] = s.local[2][1] = 0;
+    s.local[2][2] = -slope * inverse * inverse;
+    s.by_view[2][6] = s.by_view[2][7] = expected;
+    s.by_view[2][8] = -slope * v[16];
+    for (int k = 0; k < kKinds; ++k) {
+        const double *d = s.local[k];
+        s.by_view[k][0] = p[1] * d[2] - p[2] * d[1];  // ω × p moves r by (p × ∂r/∂p)·ω
+        s.by_view[k][1] = p[2] * d[0] - p[0] * d[2];
+        s.by_view[k][2] = p[0] * d[1] - p[1] * d[0];
+        for (int i = 0; i < 3; ++i) s.by_view[k][3 + i] = d[i];
+    }
+}
+
+inline void linearise(const double *v, const double *x, const double *measured, const double *inverse_sigma,
+                      Sighting &s) {
+    double p[3], pixels, disparity;
+    residuals(v, x, measured, inverse_sigma, p, s.residual, pixels, disparity);
+    derivatives(v, p, inverse_sigma, s);
+    s.weight[0] = s.weight[1] = 1 / (1 + pixels / (kCauchy * kCauchy));
+    s.weight[2] = 1 / (1 + disparity / (kCauchy * kCauchy));
+}
+
+// Derivative of a residual by the point in the world: Rᵀ ∂r/∂p.
+inline void by_point(const double *v, const double *local, double *out) {
+    for (int i = 0; i < 3; ++i) out[i] = v[i] * local[0] + v[3 + i] * local[1] + v[6 + i] * local[2];
+}
+
+// Cholesky factor (lower: 00 10 11 20 21 22) of a symmetric 3x3 given the same way, damped; in place.
+inline void factorise(double *a, double damping) {
+    const double trace = (a[0] + a[2] + a[5]) * (1 + damping);
+    for (int i : {0, 2, 5}) a[i] = a[i] * (1 + damping) + (1e-12 * trace + 1e-30);
+    a[0] = std::sqrt(a[0]);
+    a[1] /= a[0];
+    a[3] /= a[0];
+    a[2] = std::sqrt(std::max(a[2] - a[1] * a[1], 1e-300));
+    a[4] = (a[4] - a[3] * a[1]) / a[2];
+    a[5] = std::sqrt(std::max(a[5] - a[3] * a[3] - a[4] * a[4], 1e-300));
+}
+
+// L⁻¹ b, in place.
+inline void forward(const double *l, double *b) {
+    b[0] /= l[0];
+    b[1] = (b[1] - l[1] * b[0]) / l[2];
+    b[2] = (b[2] - l[3] * b[0] - l[4] * b[1]) / l[5];
+}
+
+// L⁻ᵀ b, in place.
+inline void backward(const double *l, double *b) {
+    b[2] /= l[5];
+    b[1] = (b[1] - l[4] * b[2]) / l[2];
+    b[0] = (b[0] - l[1] * b[1] - l[3] * b[2]) / l[0];
+}
+
+// One point: its own system, and what it has in common with each view.
+struct Point {
+    double own[6], right[3];
+    std::vector<double> mixed;  // [V, 3, L]
+    std::vector<int> views;     // that see it
+    std::vector<char> seen;
+};
+
+inline void begin_point(Point &p) {
+    std::fill(p.own, p.own + 6, 0.0);
+    std::fill(p.right, p.right + 3, 0.0);
+    for (int v : p.views) p.seen[v] = 0;
+    p.views.clear();
+}
+
+// Adds a sighting to its view's block of the system and to its point.
+inline void add_sighting(const Sighting &s, const double *view, int v, const double *inverse_sigma, int size,
+                         double *system, double *right, Point &p) {
+    double *mixed = &p.mixed[size_t(v) * 3 * kLocal];
+    if (!p.seen[v]) {
+        p.seen[v] = 1;
+        p.views.push_back(v);
+        std::fill(mixed, mixed + 3 * kLocal, 0.0);
+    }
+    double *block = system + size_t(v) * kLocal * size + v * kLocal, *r = right + v * kLocal;
+    for (int k = 0; k < kKinds; ++k) {
+        if (inverse_sigma[k == 2] == 0) continue;
+        const double *j = s.by_view[k];
+        double d[3];
+        by_point(view, s.local[k], d);
+        const double w = s.weight[k], wr = w * s.residual[k];
+        for (int a = 0; a < kLocal; ++a) {
+            const double wj = w * j[a];
+            for (int b = 0; b < kLocal; ++b) block[size_t(a) * size + b] += wj * j[b];
+            r[a] += wr * j[a];
+        }
+        for (int i = 0; i < 3; ++i) {
+            const double wd = w * d[i];
+            for (int a = 0; a < kLocal; ++a) mixed[i * kLocal + a] += wd * j[a];
+            p.right[i] += wr * d[i];
+        }
+        p.own[0] += w * d[0] * d[0];
+        p.own[1] += w * d[1] * d[0];
+        p.own[2] += w * d[1] * d[1];
+        p.own[3] += w * d[2] * d[0];
+        p.own[4] += w * d[2] * d[1];
+        p.own[5] += w * d[2] * d[2];
+    }
+}
+
+// Eliminates a point: S −= Y Yᵀ on and above the diagonal of blocks, g −= Y y, with Y = W L⁻ᵀ.
+inline void eliminate(Point &p, double damping, int size, double *system, double *right) {
+    factorise(p.own, damping);
+    forward(p.own, p.right);
+    std::sort(p.views.begin(), p.views.end());
+    const double *l = p.own;
+    for (int v : p.views) {
+        double *m = &p.mixed[size_t(v) * 3 * kLocal], *r = right + v * kLocal;
+        for (int a = 0; a < kLocal; ++a) {
+            const double y0 = m[a] / l[0];
+            const double y1 = (m[kLocal + a] - l[1] * y0) / l[2];
+            const double y2 = (m[2 * kLocal + a] - l[3] * y0 - l[4] * y1) / l[5];
+            m[a] = y0, m[kLocal + a] = y1, m[2 * kLocal + a] = y2;
+            r[a] -= y0 * p.right[0] + y1 * p.right[1] + y2 * p.right[2];
+        }
+    }
+    for (size_t i = 0; i < p.views.size(); ++i)
+        for (size_t j = i; j < p.views.size(); ++j) {
+            const double *y = &p.mixed[size_t(p.views[i]) * 3 * kLocal], *z = &p.mixed[size_t(p.views[j]) * 3 * kLocal];
+            double *block = system + size_t(p.views[i]) * kLocal * size + p.views[j] * kLocal;
+            for (int a = 0; a < kLocal; ++a)
+                for (int b = 0; b < kLocal; ++b)
+                    block[size_t(a) * size + b] -= y[a] * z[b] + y[kLocal + a] * z[kLocal + b] +
+                                                   y[2 * kLocal + a] * z[2 * kLocal + b];
+        }
+}
+
+LFRIG_CLONES void reduce(const double *views, const double *points, const Table &t, int view_count, double damping,
+                         double *system, double *right, double *factors) {
+    const int size = view_count * kLocal;
+    Point p;
+    p.mixed.resize(size_t(size) * 3);
+    p.seen.assign(size_t(view_count), 0);
+    Sighting s;
+    for (int m = 0; m < t.count;) {
+        const int n = t.point[m];
+        begin_point(p);
+        for (; m < t.count && t.point[m] == n; ++m) {
+            const double *view = views + size_t(t.view[m]) * kView, *sigma = t.inverse_sigma + 2 * size_t(m);
+            linearise(view, points + 3 * size_t(n), t.measured + 3 * size_t(m), sigma, s);
+            add_sighting(s, view, t.view[m], sigma, size, system, right, p);
+        }
+        eliminate(p, damping, size, system, right);
+        std::copy(p.own, p.own + 6, factors + 9 * size_t(n));
+        std::copy(p.right, p.right + 3, factors + 9 * size_t(n) + 6);
+    }
+    for (int a = 0; a < size; ++a)
+        for (int b = 0; b < a; ++b) system[size_t(a) * size + b] = system[size_t(b) * size + a];
+}
+
+// Steps of the points −L⁻ᵀ (y + L⁻¹ Wᵀ d) that belong to steps d of the views.
+LFRIG_CLONES void restore(const double *views, const double *points, const Table &t, const double *factors,
+                          const double *step, double *out) {
+    Sighting s;
+    for (int m = 0; m < t.count;) {
+        const int n = t.point[m];
+        double moved[3] = {0, 0, 0};
+        for (; m < t.count && t.point[m] == n; ++m) {
+            const double *view = views + size_t(t.view[m]) * kView, *d = step + size_t(t.view[m]) * kLocal;
+            const double *sigma = t.inverse_sigma + 2 * size_t(m);
+            linearise(view, points + 3 * size_t(n), t.measured + 3 * size_t(m), sigma, s);
+            for (int k = 0; k < kKinds; ++k) {
+                double along = 0, world[3];
+                for (int a = 0; a < kLocal; ++a) along += s.by_view[k][a] * d[a];
+                by_point(view, s.local[k], world);
+                for (int i = 0; i < 3; ++i) moved[i] += s.weight[k] * along * world[i];
+            }
+        }
+        const double *l = factors + 9 * size_t(n);
+        forward(l, moved);
+        for (int i = 0; i < 3; ++i) moved[i] = -(moved[i] + l[6 + i]);
+        backward(l, moved);
+        std::copy(moved, moved + 3, out + 3 * size_t(n));
+    }
+}
+
+LFRIG_CLONES double cost(const double *views, const double *points, const Table &t) {
+    double total = 0, product = 1;
+    for (int m = 0; m < t.count; ++m) {
+        double p[3], residual[kKinds], pixels, disparity;
+        residuals(views + size_t(t.view[m]) * kView, points + 3 * size_t(t.point[m]), t.measured + 3 * size_t(m),
+                  t.inverse_sigma + 2 * size_t(m), p, residual, pixels, disparity);
+        const double terms = (1 + pixels / (kCauchy * kCauchy)) * (1 + disparity / (kCauchy * kCauchy));
+        // The logarithm of a product instead of the sum of logarithms.
+        if (terms < kFlush && product < kFlush) {
+            product *= terms;
+        } else {
+            total += std::log(product) + std::log(terms);
+            product = 1;
+        }
+    }
+    return kCauchy * kCauchy * (total + std::log(product));
+}
+
+using Doubles = ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
+using Indices = ndarray<const int32_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+template <int Dims>
+using Out = ndarray<double, nb::ndim<Dims>, nb::c_contig, nb::device::cpu>;
+
+Table table_of(const Indices &point, const Indices &view, const Doubles &measured, const Doubles &inverse_sigma,
+               const Doubles &views, const Doubles &points) {
+    const size_t count = point.shape(0);
+    if (view.shape(0) != count || measured.shape(0) != count || measured.shape(1) != 3 ||
+        inverse_sigma.shape(0) != count || inverse_sigma.shape(1) != 2 || views.shape(1) != kView ||
+        points.shape(1) != 3)
+        throw std::invalid_argument("bundle: shapes do not match");
+    for (size_t m = 0; m < count; ++m) {
+        if (view(m) < 0 || size_t(view(m)) >= views.shape(0) || point(m) < 0 || size_t(point(m)) >= points.shape(0))
+            throw std::invalid_argument("bundle: index out of range");
+        if (m && point(m) < point(m - 1)) throw std::invalid_argument("bundle: not sorted by point");
+    }
+    return {point.data(), view.data(), measured.data(), inverse_sigma.data(), int(count)};
+}
+
+}  // namespace
+
+void register_bundle(nb::module_ &m) {
+    m.def(
+        "bundle_reduce",
+        [](Doubles views, Doubles points, Indices point, Indices view, Doubles measured, Doubles inverse_sigma,
+           double damping, Out<2> system, Out<1> right, Out<2> factors) {
+            const Table t = table_of(point, view, measured, inverse_sigma, views, points);
+            const int count = int(views.shape(0)), size = count * kLocal;
+            if (int(system.shape(0)) != size || int(system.shape(1)) != size || int(right.shape(0)) != size ||
+                factors.shape(0) != points.shape(0) || factors.shape(1) != 9)
+                throw std::invalid_argument("bundle: outputs of a wrong shape");
+            nb::gil_scoped_release release;
+            reduce(views.data(), points.data(), t, count, damping, system.data(), right.data(), factors.data());
+        },
+        "Reduced normal equations into zeroed arrays");
+    m.def(
+        "bundle_restore",
+        [](Doubles views, Doubles points, Indices point, Indices view, Doubles measured, Doubles inverse_sigma,
+           Doubles factors, ndarray<const double, nb::ndim<1>, nb::c_contig, nb::device::cpu> step, Out<2> out) {
+            const Table t = table_of(point, view, measured, inverse_sigma, views, points);
+            if (factors.shape(0) != points.shape(0) || factors.shape(1) != 9 || out.shape(0) != points.shape(0) ||
+                out.shape(1) != 3 || step.shape(0) != views.shape(0) * kLocal)
+                throw std::invalid_argument("bundle: shapes do not match");
+            nb::gil_scoped_release release;
+            restore(views.data(), points.data(), t, factors.data(), step.data(), out.data());
+        },
+        "Steps of the points into a zeroed array");
+    m.def(
+        "bundle_cost",
+        [](Doubles views, Doubles points, Indices point, Indices view, Doubles measured, Doubles inverse_sigma) {
+            const Table t = table_of(point, view, measured, inverse_sigma, views, points);
+            nb::gil_scoped_release release;
+            return cost(views.data(), points.data(), t);
+        },
+        "Robust cost of all residuals");
+}
