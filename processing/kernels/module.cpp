@@ -8,6 +8,7 @@ void register_bundle(nb::module_ &m);
 void register_colour_evidence(nb::module_ &m);
 void register_fusion(nb::module_ &m);
 void register_lenslet(nb::module_ &m);
+void register_patches(nb::module_ &m);
 void register_plane_cost(nb::module_ &m);
 void register_plane_fit(nb::module_ &m);
 void register_sgm(nb::module_ &m);
@@ -23,6 +24,7 @@ NB_MODULE(_native, m) {
     register_colour_evidence(m);
     register_fusion(m);
     register_lenslet(m);
+    register_patches(m);
     register_plane_cost(m);
     register_plane_fit(m);
     register_sgm(m);

@@ -9,6 +9,7 @@ import numpy as np
 
 from lfrig.contracts.progress import Monitor
 from lfrig.processing.geometry import rotation_angle_deg
+from lfrig.processing.kernels.patches import with_slopes
 from lfrig.processing.model import F32, F64, U8, Evidence, LightField, Photo, Pose
 from lfrig.processing.poses.arrangement import Arrangement
 from lfrig.processing.poses.corners import grey_of, light_field_corners
@@ -42,7 +43,7 @@ def look_at(sources: Sequence[LightField], evidence: Sequence[Evidence], target:
 
 def _picture(image: U8) -> Picture:
     grey = grey_of(image)
-    return Picture(grey, normalised(grey))
+    return Picture(with_slopes(grey), normalised(grey))
 
 
 def smoothed(disparity: F32) -> F32:

@@ -35,10 +35,17 @@ MAX_COMMON_SHIFT = 0.15
 
 @dataclass(frozen=True)
 class Picture:
-    """One view: ``grey`` float32 [H, W] and ``even`` uint8 [H, W], the same locally normalised."""
+    """One view: ``detail`` float32 [H, W, 4], grey and its slopes (`with_slopes`), and ``even`` uint8 [H, W], the same
+    locally normalised.
+    """
 
-    grey: F32
+    detail: F32
     even: NDArray[np.uint8]
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(height, width) [px]."""
+        return self.even.shape[0], self.even.shape[1]
 
 
 @dataclass(frozen=True)
@@ -141,18 +148,18 @@ def follow(warp: Warp, here: Picture, there: Picture, *, flow: bool) -> Sighted:
         return Sighted(found, alike, 0)
     start, affine, along = warp.points(corners.xy, corners.disparity)
     good = np.isfinite(start).all(1)
-    expected = int((good & _usable(start, affine, there.grey.shape)).sum())
+    expected = int((good & _usable(start, affine, there.shape)).sum())
     if flow:
         moved, kept = _flowed(warp, here, there, corners.xy)
-        height, width = here.grey.shape
+        height, width = here.shape
         moved = np.clip(moved, 3, [width - 4, height - 4])
         # Where the flow says that the corner went in the warped picture, and from there on into the true one.
         shifted, affine, along = warp.points(moved, np.full(len(moved), np.nan))
         start, good = shifted, kept & np.isfinite(shifted).all(1)
-    good &= _usable(start, affine, there.grey.shape)
+    good &= _usable(start, affine, there.shape)
     rows = np.flatnonzero(good)
     if len(rows):
-        xy, likeness = align(here.grey, there.grey, corners.xy[rows], start[rows], affine[rows], along[rows])
+        xy, likeness = align(here.detail, there.detail, corners.xy[rows], start[rows], affine[rows], along[rows])
         near = np.linalg.norm(xy - start[rows], axis=1) < MAX_SHIFT_PX
         keep = near & (likeness > MIN_CORRELATION)
         found[rows[keep]], alike[rows[keep]] = xy[keep], likeness[keep]
