@@ -11,6 +11,7 @@ void register_lenslet(nb::module_ &m);
 void register_patches(nb::module_ &m);
 void register_plane_cost(nb::module_ &m);
 void register_plane_fit(nb::module_ &m);
+void register_rig_chain(nb::module_ &m);
 void register_sgm(nb::module_ &m);
 void register_softmax(nb::module_ &m);
 void register_spline(nb::module_ &m);
@@ -27,6 +28,7 @@ NB_MODULE(_native, m) {
     register_patches(m);
     register_plane_cost(m);
     register_plane_fit(m);
+    register_rig_chain(m);
     register_sgm(m);
     register_softmax(m);
     register_spline(m);

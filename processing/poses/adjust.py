@@ -31,8 +31,9 @@ from lfrig.processing.poses.tracks import Observations
 from lfrig.processing.poses.triangulate import stack
 from lfrig.processing.skipping import Tally
 
-SETTLED_SIGMAS = 0.01
-"""Steps shorter than this fraction of what the parameters are known to change nothing."""
+SETTLED_SIGMAS = 0.1
+"""Where a round moves the parameters by less, in standard deviations, what is left to come adds a hundredth to their
+variance; single points that still creep out of the tails do not matter."""
 
 
 class ResidualBlock(Protocol):
@@ -105,12 +106,17 @@ def _views(cameras: Sequence[Camera], poses: Sequence[Pose], lines: Sequence[Lin
 
 @dataclass(frozen=True)
 class Adjustment:
-    """Result: parameters, points float64 [N, 3], robust cost, and the parameters' covariance [size, size]."""
+    """Result: parameters, points float64 [N, 3], and robust cost."""
 
     parameters: F64
     points: F64
     cost: float
-    covariance: F64
+    _state: _State
+
+    @property
+    def covariance(self) -> F64:
+        """Of the parameters, float64 [size, size]; zero where held. Computed when asked for."""
+        return self._state.covariance()
 
 
 def adjust(
@@ -154,7 +160,7 @@ def adjust(
                 break
     if tally is not None:
         tally.add("adjustment", rounds, max_iterations - rounds, "rounds")
-    return Adjustment(x, state.points, state.cost, state.covariance())
+    return Adjustment(x, state.points, state.cost, state)
 
 
 def _merged(blocks: Sequence[ResidualBlock]) -> Sightings:
@@ -187,7 +193,7 @@ class _State:
 
     def __init__(self, problem: _Problem, x: F64, points: F64) -> None:
         self.problem, self.x, self.points = problem, x, points
-        self.views = problem.arrangement.view_table(x)
+        self.views, self.derivative = problem.arrangement.linearise(x)
         self.cost = robust_cost(self.views, points, problem.seen)
         self.cost += problem.arrangement.prior_cost(x, problem.sigma)
 
@@ -224,8 +230,7 @@ class _State:
 
     def _chain(self) -> F64:
         """Motion of the local parameters [L V] with the free ones."""
-        table = self.problem.arrangement.local_derivative(self.x)
-        return np.asarray(table.reshape(len(self.views) * LOCAL, -1)[:, self.problem.free], np.float64)
+        return np.asarray(self.derivative.reshape(len(self.views) * LOCAL, -1)[:, self.problem.free], np.float64)
 
     def _precision(self) -> F64:
         weight = self.problem.arrangement.precision(self.x, self.problem.full_sigma)

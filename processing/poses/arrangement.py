@@ -8,14 +8,13 @@ around zero, whose sigma the calibration knows; a sigma of zero holds it.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
-from lfrig.processing.kernels.bundle import LOCAL, view_table
+from lfrig.processing.kernels.rig_chain import Rig, after, before_wobble, rig_chain
 from lfrig.processing.model import F64, Camera, Pose, ScaleFit
-
-Rigid = tuple[F64, F64]
-"""Rotations [..., 3, 3] and translations [..., 3]."""
 
 BLUNDER = 4.0
 """Beyond this many sigmas a turntable angle, a focal length or recorded optics count as a blunder and lose their pull
@@ -98,6 +97,13 @@ class Arrangement:
         start = self.turns.stop + 6 * view
         return slice(start, start + 6)
 
+    def of_view(self, view: int) -> NDArray[np.intp]:
+        """Indices of a view's own parameters [10]: turn, wobble, log focal, line."""
+        wobble, line = self.wobble(view), self.log_lines.start + 2 * view
+        return np.r_[
+            self.turns.start + view, wobble.start : wobble.stop, self.log_focals.start + view, line : line + 2
+        ]
+
     def sigmas(self) -> F64:
         """Standard deviation of every parameter, float64 [size]; 0 = held."""
         sigma = np.zeros(self.size)
@@ -134,7 +140,7 @@ class Arrangement:
 
     def poses(self, x: F64) -> tuple[Pose, ...]:
         """Camera poses at parameters x."""
-        return tuple(Pose(r, t) for r, t in zip(*self._chain(x)[1], strict=True))
+        return tuple(Pose(v[:9].reshape(3, 3), v[9:12]) for v in self.linearise(x)[0])
 
     def cameras(self, x: F64) -> tuple[Camera, ...]:
         """Cameras at parameters x."""
@@ -157,53 +163,26 @@ class Arrangement:
             for v, view in enumerate(self.views)
         )
 
-    def view_table(self, x: F64) -> F64:
-        """Poses, cameras and lines at parameters x as the kernels of the adjustment take them, float64 [V, 17]."""
-        rotation, translation = self._chain(x)[1]
-        cameras = np.array([(v.camera.focal_px, v.camera.cx, v.camera.cy) for v in self.views])
-        lines = np.array([(0.0, 0.0) if v.line is None else (v.line.baseline_m, v.line.inverse_focus) for v in self.views])
-        focal = cameras[:, 0] * np.exp(x[self.log_focals])
-        return view_table(
-            rotation, translation, focal, cameras[:, 1:], lines * np.exp(x[self.log_lines]).reshape(-1, 2)
-        )
+    @cached_property
+    def _rig(self) -> Rig:
+        mounts = [np.r_[m.rotation.ravel(), m.translation] for m in self.mounts]
+        fixed = [
+            (np.deg2rad(v.angle_deg), v.camera.focal_px, v.camera.cx, v.camera.cy)
+            + ((0.0, 0.0) if v.line is None else (v.line.baseline_m, v.line.inverse_focus))
+            for v in self.views
+        ]
+        mount = np.array([v.mount for v in self.views], np.int32)
+        return Rig(np.array(mounts, np.float64), mount, np.array(fixed, np.float64))
 
-    def _chain(self, x: F64) -> tuple[Rigid, Rigid]:
-        """Rotations [V, 3, 3] and translations [V, 3] of all views before their wobble, and with it."""
-        mount = np.array([v.mount for v in self.views])
-        rotation, translation = np.stack([m.rotation for m in self.mounts]), np.stack([m.translation for m in self.mounts])
-        corrected = _after(x[: 6 * len(self.mounts)].reshape(-1, 6), (rotation, translation))
-        angle = np.deg2rad([v.angle_deg for v in self.views]) + x[self.turns]
-        turn = np.zeros((len(self.views), 3, 3))
-        turn[:, 0, 0] = turn[:, 1, 1] = np.cos(angle)
-        turn[:, 1, 0] = np.sin(angle)
-        turn[:, 0, 1] = -turn[:, 1, 0]
-        turn[:, 2, 2] = 1
-        before = corrected[0][mount] @ turn, corrected[1][mount]
-        return before, _after(self._wobbles(x), before)
-
-    def _wobbles(self, x: F64) -> F64:
-        """All views' wobbles [V, 6]."""
-        return x[self.turns.stop : self.log_focals.start].reshape(-1, 6)
+    def linearise(self, x: F64) -> tuple[F64, F64]:
+        """Poses, cameras and lines at parameters x as the kernels of the adjustment take them, float64 [V, 17]; and the
+        motion of each view's local parameters with x, float64 [V, LOCAL, size].
+        """
+        return rig_chain(self._rig, x)
 
     def local_derivative(self, x: F64) -> F64:
         """Motion of each view's local parameters with x, float64 [V, LOCAL, size]."""
-        count, own = len(self.views), np.arange(len(self.views))
-        table = np.zeros((count, LOCAL, self.size))
-        (rotation, translation), _ = self._chain(x)
-        mount = np.array([v.mount for v in self.views])
-        wobbles, corrections = self._wobbles(x), x[: 6 * len(self.mounts)].reshape(-1, 6)
-        lift = adjoint(wobbles)
-        by_mount, by_wobble = motion_derivative(corrections)[mount], motion_derivative(wobbles)
-        for v in range(count):
-            table[v, :6, 6 * mount[v] : 6 * mount[v] + 6] = lift[v] @ by_mount[v]
-            table[v, :6, self.wobble(v)] = by_wobble[v]
-        axis = rotation[:, :, 2]
-        swing = np.concatenate([axis, -np.cross(axis, translation)], 1)
-        table[own, :6, self.turns.start + own] = (lift @ swing[:, :, None])[:, :, 0]
-        table[own, 6, self.log_focals.start + own] = 1.0
-        for k in (0, 1):
-            table[own, 7 + k, self.log_lines.start + 2 * own + k] = 1.0
-        return table
+        return self.linearise(x)[1]
 
     def start_at(self, x: F64, view: int, pose: Pose) -> F64:
         """X with the mount correction that puts ``view``, alone on its mount, at ``pose``."""
@@ -213,39 +192,10 @@ class Arrangement:
         g = self.views[view].mount
         x[6 * g : 6 * g + 6] = 0
         x[self.wobble(view)] = 0
-        rotation, translation = (part[view] for part in self._chain(x)[0])
+        rotation, translation = (part[view] for part in before_wobble(self._rig, x))
         turn = pose.rotation @ rotation.T
         x[6 * g : 6 * g + 6] = np.r_[rotation_vector(turn), pose.translation - turn @ translation]
         return x
-
-
-
-def skew(v: F64) -> F64:
-    """[v]× with ``skew(v) @ p = v × p``, [..., 3, 3] from [..., 3]."""
-    out = np.zeros((*v.shape, 3))
-    for i, j, k in ((2, 1, 0), (0, 2, 1), (1, 0, 2)):
-        out[..., i, j], out[..., j, i] = v[..., k], -v[..., k]
-    return out
-
-
-def _angles(vector: F64) -> tuple[F64, F64, F64]:
-    """For rotation vectors [..., 3]: sin(a)/a, (1 − cos a)/a² and (a − sin a)/a³ of their angles a, [..., 1, 1] each."""
-    angle = np.linalg.norm(vector, axis=-1)[..., None, None]
-    # Series where the quotients lose their digits.
-    small = angle < 1e-4
-    a = np.where(small, 1.0, angle)
-    return (
-        np.where(small, 1 - angle**2 / 6, np.sin(a) / a),
-        np.where(small, 0.5 - angle**2 / 24, (1 - np.cos(a)) / a**2),
-        np.where(small, 1 / 6, (a - np.sin(a)) / a**3),
-    )
-
-
-def rotation_matrix(vector: F64) -> F64:
-    """Rodrigues' formula: rotation by |vector| rad about it, [..., 3, 3] from [..., 3]."""
-    first, second, _ = _angles(vector)
-    s = skew(vector)
-    return np.asarray(np.eye(3) + first * s + second * (s @ s), np.float64)
 
 
 def rotation_vector(rotation: F64) -> F64:
@@ -255,32 +205,6 @@ def rotation_vector(rotation: F64) -> F64:
     return np.asarray(cv2.Rodrigues(rotation)[0], np.float64).reshape(3)
 
 
-def _after(motion: F64, rigid: Rigid) -> Rigid:
-    """What ``X → rotation_matrix(motion[:3]) X + motion[3:]`` in the cameras' frames makes of poses; motions [K, 6]."""
-    turn = rotation_matrix(motion[..., :3])
-    return turn @ rigid[0], (turn @ rigid[1][..., None])[..., 0] + motion[..., 3:]
-
-
 def moved(motion: F64, pose: Pose) -> Pose:
     """The pose after ``X → rotation_matrix(motion[:3]) X + motion[3:]`` in the camera's frame."""
-    return Pose(*_after(motion, (pose.rotation, pose.translation)))
-
-
-def adjoint(motion: F64) -> F64:
-    """[..., 6, 6]: a small left motion before ``motion`` [..., 6] as a small left motion after it."""
-    turn = rotation_matrix(motion[..., :3])
-    table = np.zeros((*motion.shape, 6))
-    table[..., :3, :3] = table[..., 3:, 3:] = turn
-    table[..., 3:, :3] = skew(motion[..., 3:]) @ turn
-    return table
-
-
-def motion_derivative(motion: F64) -> F64:
-    """[..., 6, 6]: change of ``motion``'s six numbers as a small left motion after it (left Jacobian of SO(3))."""
-    _, second, third = _angles(motion[..., :3])
-    s = skew(motion[..., :3])
-    left = np.eye(3) + second * s + third * (s @ s)
-    table = np.zeros((*motion.shape, 6))
-    table[..., :3, :3], table[..., 3:, 3:] = left, np.eye(3)
-    table[..., 3:, :3] = skew(motion[..., 3:]) @ left
-    return table
+    return Pose(*after(motion, (pose.rotation, pose.translation)))

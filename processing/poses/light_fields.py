@@ -7,8 +7,9 @@ land within a pixel of where they are predicted. Each capture's scale (1/z = a Î
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from lfrig.processing.poses.priors import PAIR_LIMIT_DEG
 from lfrig.processing.poses.sightings import Followed, Looks, directed_pairs, follow_all
 from lfrig.processing.poses.structure import (
     FINE_TOLERANCE,
+    NOISE_BOUNDS_PX,
     ROUGH_TOLERANCE,
     Structure,
     coarseness,
@@ -30,6 +32,8 @@ from lfrig.processing.poses.structure import (
 )
 from lfrig.processing.poses.tracks import Observations, Pair
 from lfrig.processing.poses.triangulate import reproject, triangulate
+from lfrig.processing.poses.warp_lk import Sighted
+from lfrig.processing.skipping import SKIP_ALL, Skips, Tally
 
 FLOW_CORNERS = 250
 MAX_FLOW_STEP_DEG = 36.0
@@ -42,12 +46,24 @@ MAX_ROUNDS = 4
 SETTLED_DEG = 0.03
 """Rotations that change by less move no prediction by a pixel."""
 
+ROUND_POINTS = 1000
+"""So many points place the views to a tenth of what `SETTLED_DEG` asks for."""
+
 LOST_FRACTION = 0.15
 ENOUGH_SHARED = 100
 
 FLOW_SCHEDULE = ((16.0, 0.06), (4.0, 0.06), (1.2, 0.02), (0.4, 0.012))
 ALIGN_SCHEDULE = ((0.5, 0.012),)
 """Noise levels [px] and [px of disparity], falling, before the residuals say what the noise is."""
+
+
+@dataclass(frozen=True)
+class Effort:
+    """What goes with every solve: progress, what may be left out, and where that is counted."""
+
+    monitor: Monitor
+    skips: Skips = SKIP_ALL
+    tally: Tally | None = None
 
 
 def recorded_line(source: LightField, captures: int) -> Line | None:
@@ -78,10 +94,10 @@ def adjust_light_fields(
     seen: Observations,
     depth_range_m: tuple[float, float],
     schedule: Sequence[tuple[float, float]],
-    monitor: Monitor,
+    effort: Effort,
 ) -> Structure:
     """Triangulate, and adjust by reprojection and disparity with falling noise levels; at last by the noise found."""
-    x, covariance, noise = start, np.zeros((arrangement.size, arrangement.size)), schedule[0][0]
+    x, result, noise = start, None, NOISE_BOUNDS_PX[1]
     points = triangulate(arrangement.cameras(x), arrangement.poses(x), seen)
     for level in (*schedule, None):
         cameras, poses = arrangement.cameras(x), arrangement.poses(x)
@@ -98,10 +114,14 @@ def adjust_light_fields(
         blocks: list[ResidualBlock] = [Reprojection(seen, noise * coarseness(seen))]
         told = _told(seen)
         blocks.append(Disparity(seen.point[told], seen.view[told], _disparity(seen)[told], np.full(len(told), sigma)))
-        tolerance = FINE_TOLERANCE if level is None else ROUGH_TOLERANCE
-        result = adjust(arrangement, x, points, blocks, max_iterations=MAX_ITERATIONS, tolerance=tolerance)
-        x, points, covariance = result.parameters, result.points, result.covariance
-        monitor.advance(0)
+        result = adjust(
+            arrangement, x, points, blocks, max_iterations=MAX_ITERATIONS,
+            tolerance=FINE_TOLERANCE if level is None else ROUGH_TOLERANCE, until_settled=effort.skips.adjustment,
+            tally=effort.tally,
+        )  # fmt: skip
+        x, points = result.parameters, result.points
+        effort.monitor.advance(0)
+    covariance = np.zeros((arrangement.size, arrangement.size)) if result is None else result.covariance
     return Structure(arrangement, x, seen, points, noise, covariance)
 
 
@@ -145,7 +165,7 @@ def widest_link_deg(poses: Sequence[Pose]) -> float:
 
 
 def first_pass(
-    looks: Looks, arrangement: Arrangement, x: F64, depth_range_m: tuple[float, float], monitor: Monitor
+    looks: Looks, arrangement: Arrangement, x: F64, depth_range_m: tuple[float, float], effort: Effort
 ) -> Structure | None:
     """Follow by flow into the neighbours and solve; None where steps are too wide for it, optics unknown, or
     hardly a corner of some view is found.
@@ -158,33 +178,48 @@ def first_pass(
     followed = follow_all(looks, arrangement, x, pairs, depth_range_m, flow=pairs, limit=FLOW_CORNERS)
     if followed.seen.count < ENOUGH_POINTS:
         return None
-    solved = adjust_light_fields(arrangement, x, followed.seen, depth_range_m, FLOW_SCHEDULE, monitor)
+    solved = adjust_light_fields(arrangement, x, followed.seen, depth_range_m, FLOW_SCHEDULE, effort)
     counts = np.bincount(solved.seen.view, minlength=len(poses))
     return solved if counts.min() >= ENOUGH_POINTS else None
 
 
 def second_pass(
-    looks: Looks, rough: Structure, depth_range_m: tuple[float, float], monitor: Monitor
+    looks: Looks,
+    rough: Structure,
+    depth_range_m: tuple[float, float],
+    effort: Effort,
+    known: Mapping[Pair, Sighted] = MappingProxyType({}),
 ) -> tuple[Structure, Followed]:
     """Align all corners in every view within reach of a rough solution, and solve again; until that moves little.
 
-    Pairs that hardly share a point are followed by flow once more: the first pass need not have seen them.
+    Pairs that hardly share a point are followed by flow once more: the first pass need not have seen them. Rounds
+    adjust no more points than settle the poses to a fraction of a pixel; all of them have the last word. ``known`` are
+    pairs that were followed already.
     """
-    pairs = directed_pairs(rough.poses, len(looks.reliefs), PAIR_LIMIT_DEG)
-    solved, lost = rough, set[Pair]()
+    arrangement, x, poses = rough.arrangement, rough.parameters, rough.poses
+    pairs = directed_pairs(poses, len(looks.reliefs), PAIR_LIMIT_DEG)
+    lost = set[Pair]()
     for _ in range(MAX_ROUNDS):
-        before = solved.poses
-        followed = follow_all(looks, solved.arrangement, solved.parameters, pairs, depth_range_m, flow=lost)
-        solved = adjust_light_fields(
-            solved.arrangement, solved.parameters, followed.seen, depth_range_m, ALIGN_SCHEDULE, monitor
-        )
-        again = bool(lost) or _moved_deg(before, solved.poses) > SETTLED_DEG
-        shared = common_points(solved)
+        followed = follow_all(looks, arrangement, x, pairs, depth_range_m, flow=lost, known=known)
+        known = followed.by_pair
+        part = _thinned(followed.seen, ROUND_POINTS)
+        solved = adjust_light_fields(arrangement, x, part, depth_range_m, ALIGN_SCHEDULE, effort)
+        again = bool(lost) or _moved_deg(poses, solved.poses) > SETTLED_DEG
+        x, poses = solved.parameters, solved.poses
+        shared = common_points(solved) * (followed.seen.count / max(part.count, 1))
         # A pair that flow has just failed for is let go.
         lost = {p for p in pairs if shared[p] < ENOUGH_SHARED and followed.fraction(p) < LOST_FRACTION} - lost
         if not (again or lost):
             break
+    if part.count < followed.seen.count:
+        solved = adjust_light_fields(arrangement, x, followed.seen, depth_range_m, ALIGN_SCHEDULE, effort)
     return solved, followed
+
+
+def _thinned(seen: Observations, points: int) -> Observations:
+    """Every so manyth point, about ``points`` of them at least."""
+    stride = max(1, seen.count // max(points, 1))
+    return seen if stride == 1 else seen.keep(seen.point % stride == 0)[0]
 
 
 def _moved_deg(before: Sequence[Pose], after: Sequence[Pose]) -> float:

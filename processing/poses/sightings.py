@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 
@@ -16,7 +17,8 @@ from lfrig.processing.poses.corners import grey_of, light_field_corners
 from lfrig.processing.poses.patches import normalised
 from lfrig.processing.poses.structure import FINE_SCALE_PX
 from lfrig.processing.poses.tracks import Observations, Pair
-from lfrig.processing.poses.warp_lk import Picture, Relief, Station, Warp, follow
+from lfrig.processing.poses.warp_lk import Picture, Relief, Sighted, Station, Warp, follow
+from lfrig.processing.poses.work import PoseWork
 
 SMOOTH_SIGMA_PX = 1.5
 UNLIKENESS = 0.03
@@ -31,17 +33,26 @@ class Looks:
     reliefs: tuple[Relief, ...]
 
 
-def look_at(sources: Sequence[LightField], evidence: Sequence[Evidence], target: Photo, monitor: Monitor) -> Looks:
-    """Prepare all pictures, corners and disparities."""
+def look_at(
+    sources: Sequence[LightField], evidence: Sequence[Evidence], target: Photo, work: PoseWork, monitor: Monitor
+) -> Looks:
+    """Prepare all pictures, corners and disparities; what ``work`` knows of a capture is not made again."""
     pictures, reliefs = [], []
     for source, seen in zip(sources, evidence, strict=True):
-        pictures.append(_picture(source.centre_view))
-        reliefs.append(Relief(light_field_corners(source, seen), smoothed(seen.disparity)))
+        pictures.append(work.once("picture", (source.views,), lambda s=source: picture_of(s.centre_view)))
+        reliefs.append(work.once("relief", (source.views, seen), lambda s=source, e=seen: relief_of(s, e)))
         monitor.advance()
-    return Looks((*pictures, _picture(target.image8)), tuple(reliefs))
+    pictures.append(work.once("picture", (target.image,), lambda: picture_of(target.image8)))
+    return Looks(tuple(pictures), tuple(reliefs))
 
 
-def _picture(image: U8) -> Picture:
+def relief_of(source: LightField, evidence: Evidence) -> Relief:
+    """Corners and surface of one light field."""
+    return Relief(light_field_corners(source, evidence), smoothed(evidence.disparity))
+
+
+def picture_of(image: U8) -> Picture:
+    """One view, prepared for alignment and flow."""
     grey = grey_of(image)
     return Picture(with_slopes(grey), normalised(grey))
 
@@ -66,24 +77,24 @@ def directed_pairs(poses: Sequence[Pose], sources: int, limit_deg: float) -> lis
 
 @dataclass(frozen=True)
 class Followed:
-    """Sightings, and for every (light field, other view) how many corners were found there, of how many expected."""
+    """Sightings, and what they were made from: where the corners of each (light field, other view) were found."""
 
     seen: Observations
-    found: dict[Pair, int]
-    tried: dict[Pair, int]
+    by_pair: dict[Pair, Sighted]
 
     def fraction(self, pair: Pair) -> float:
         """Share of the corners found."""
-        return self.found.get(pair, 0) / max(self.tried.get(pair, 0), 1)
+        sighted = self.by_pair.get(pair)
+        return 0.0 if sighted is None else sighted.count / max(sighted.expected, 1)
 
     def fractions(self) -> dict[Pair, float]:
         """All of them."""
-        return {pair: self.fraction(pair) for pair in self.found}
+        return {pair: self.fraction(pair) for pair in self.by_pair}
 
     @property
     def total(self) -> int:
         """Corners found in all views together."""
-        return sum(self.found.values())
+        return sum(sighted.count for sighted in self.by_pair.values())
 
 
 def follow_all(
@@ -95,14 +106,15 @@ def follow_all(
     *,
     flow: Collection[Pair] = (),
     limit: int | None = None,
+    known: Mapping[Pair, Sighted] = MappingProxyType({}),
 ) -> Followed:
     """Follow the corners of the first view of each (directed) pair into the second; with ``flow`` where the prediction
-    may be poor. ``limit`` takes the strongest corners only.
+    may be poor. ``limit`` takes the strongest corners only; what is ``known`` of a pair is kept where it still holds.
     """
     cameras, poses, lines = arrangement.cameras(x), arrangement.poses(x), arrangement.lines(x)
     stations = [Station(c, p) for c, p in zip(cameras, poses, strict=True)]
     limits = 1 / depth_range_m[1], 1 / depth_range_m[0]
-    tables, found, tried = [], {}, {}
+    tables, by_pair = [], {}
     for j, relief in enumerate(looks.reliefs):
         line = lines[j]
         others = [i for k, i in pairs if k == j]
@@ -115,11 +127,12 @@ def follow_all(
         likeness = np.ones(places.shape[:2])
         for i in others:
             warp = Warp(relief, line.scale(cameras[j]), stations[j], stations[i], limits)
-            sighted = follow(warp, looks.pictures[j], looks.pictures[i], flow=(j, i) in flow)
+            before = known.get((j, i))
+            sighted = follow(warp, looks.pictures[j], looks.pictures[i], flow=(j, i) in flow, before=before)
             places[:, i], likeness[:, i] = sighted.xy, sighted.likeness
-            found[j, i], tried[j, i] = sighted.count, sighted.expected
+            by_pair[j, i] = sighted
         tables.append((j, places, coarseness_of(likeness), relief.corners.disparity))
-    return Followed(_observations(tables), found, tried)
+    return Followed(_observations(tables), by_pair)
 
 
 def coarseness_of(likeness: F64) -> F64:

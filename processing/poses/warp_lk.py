@@ -8,7 +8,7 @@ the way back leads home) or of a fraction of one (pass 1), and the last digits c
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,9 @@ MAX_SHIFT_PX = 4.0
 
 AREA_BOUNDS = (0.25, 4.0)
 MAX_STRETCH = 2.5
+HOLDS_PX, HOLDS_SHARE = 0.3, 0.9
+"""Predictions of which this share moves less than this lead the alignment, whose start they are, to the same places."""
+
 FLOW_WINDOW_PX = 17
 FLOW_LEVELS = 3
 WAY_BACK_PX = 1.5
@@ -59,6 +62,33 @@ class Relief:
         """With the strongest corners only."""
         return Relief(self.corners.first(count), self.disparity)
 
+    def ground_at(self, xy: F64, disparity: F64 | None = None) -> Ground:
+        """The surface around points [N, 2]. A point's own ``disparity`` [N] counts where it is finite."""
+        own = sample_points(self.disparity, xy).astype(np.float64)
+        if disparity is not None:
+            own = np.where(np.isfinite(disparity), disparity, own)
+        e = SLOPE_STEP_PX
+        rise = [
+            sample_points(self.disparity, xy + d) - sample_points(self.disparity, xy - d) for d in ([e, 0.0], [0.0, e])
+        ]
+        return Ground(xy, own, np.stack(rise, 1).astype(np.float64) / (2 * e))
+
+    @cached_property
+    def ground(self) -> Ground:
+        """The surface around the corners."""
+        return self.ground_at(self.corners.xy, self.corners.disparity)
+
+
+@dataclass(frozen=True)
+class Ground:
+    """The surface around points: ``xy`` float64 [N, 2] px, ``disparity`` [N] px per view step, and its ``slope`` [N, 2]
+    by x and y.
+    """
+
+    xy: F64
+    disparity: F64
+    slope: F64
+
 
 @dataclass(frozen=True)
 class Station:
@@ -91,29 +121,22 @@ class Warp:
         v = (matrix[1, 0] * x + matrix[1, 1] * y + matrix[1, 2] + offset[1] * inverse) / z
         return u, v
 
-    def points(self, xy: F64, disparity: F64) -> tuple[F64, F64, F64]:
+    def points(self, ground: Ground) -> tuple[F64, F64, F64]:
         """Where points [N, 2] go, the derivative of that by xy [N, 2, 2] on the smooth surface, and the direction in
         which they go with inverse depth, unit vectors [N, 2].
-
-        A point's own ``disparity`` [N] counts where it is finite, else the surface's.
         """
-        surface = self.relief.disparity
-        own = np.where(np.isfinite(disparity), disparity, sample_points(surface, xy))
-        inverse = self.scale.a * own + self.scale.c
+        inverse = self.scale.a * ground.disparity + self.scale.c
         clipped = np.clip(inverse, *self.limits)
-        e = SLOPE_STEP_PX
-        rise = [sample_points(surface, xy + d) - sample_points(surface, xy - d) for d in ([e, 0.0], [0.0, e])]
-        slope = self.scale.a * np.stack(rise, 1).astype(np.float64) / (2 * e)
-        slope[inverse != clipped] = 0
+        slope = np.where((inverse == clipped)[:, None], self.scale.a * ground.slope, 0.0)
         matrix, offset = self._projection()
-        p = np.c_[xy, np.ones(len(xy))] @ matrix.T + clipped[:, None] * offset
+        p = ground.xy @ matrix[:, :2].T + matrix[:, 2] + clipped[:, None] * offset
         z = np.where(np.abs(p[:, 2]) < 1e-6, 1e-6, p[:, 2])
         there = p[:, :2] / z[:, None]
         # dp/dx = column of the matrix + offset · dw/dx, then the quotient rule.
         dp = matrix[None, :, :2] + offset[None, :, None] * slope[:, None, :]
         affine = (dp[:, :2] - there[:, :, None] * dp[:, 2:]) / z[:, None, None]
         along = (offset[:2] - there * offset[2]) / z[:, None]
-        along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
+        along /= np.maximum(np.hypot(along[:, :1], along[:, 1:]), 1e-12)
         there[p[:, 2] <= 0] = np.nan
         return there, affine, along
 
@@ -124,52 +147,68 @@ class Warp:
 @dataclass(frozen=True)
 class Sighted:
     """Corners in another picture: ``xy`` float64 [N, 2] px, NaN where not found; ``likeness`` float32 [N], the
-    normalised correlation of the patches; and how many were ``expected`` inside the picture.
+    normalised correlation of the patches; how many were ``expected`` inside the picture; and where, ``start`` [N, 2].
     """
 
     xy: F64
     likeness: F32
     expected: int
+    start: F64
 
     @property
     def count(self) -> int:
         """How many were found."""
-        return int(np.isfinite(self.xy[:, 0]).sum())
+        return int(self.found.sum())
+
+    @property
+    def found(self) -> NDArray[np.bool_]:
+        """Which were [N]."""
+        return np.isfinite(self.xy[:, 0])
+
+    def still_holds(self, start: F64) -> bool:
+        """Whether the corners are expected where they were: looking again would find the same."""
+        found = self.found
+        if len(start) != len(found) or not found.any():
+            return False
+        moved = np.hypot(*(start[found] - self.start[found]).T)
+        return bool(np.quantile(moved, HOLDS_SHARE) < HOLDS_PX)
 
 
-def follow(warp: Warp, here: Picture, there: Picture, *, flow: bool) -> Sighted:
+def follow(warp: Warp, here: Picture, there: Picture, *, flow: bool, before: Sighted | None = None) -> Sighted:
     """Where the light field's corners appear in another picture.
 
-    With ``flow`` the prediction may be off by tens of pixels; without, by a few.
+    With ``flow`` the prediction may be off by tens of pixels; without, by a few. What was found ``before`` is handed
+    back where the prediction has hardly changed since.
     """
     corners = warp.relief.corners
     found, alike = np.full((len(corners), 2), np.nan), np.zeros(len(corners), np.float32)
     if not len(corners):
-        return Sighted(found, alike, 0)
-    start, affine, along = warp.points(corners.xy, corners.disparity)
-    good = np.isfinite(start).all(1)
-    expected = int((good & _usable(start, affine, there.shape)).sum())
+        return Sighted(found, alike, 0, found)
+    predicted, affine, along = warp.points(warp.relief.ground)
+    if before is not None and not flow and before.still_holds(predicted):
+        return before
+    start, good = predicted, np.isfinite(predicted).all(1) & _usable(predicted, affine, there.shape)
+    expected = int(good.sum())
     if flow:
         moved, kept = _flowed(warp, here, there, corners.xy)
         height, width = here.shape
         moved = np.clip(moved, 3, [width - 4, height - 4])
         # Where the flow says that the corner went in the warped picture, and from there on into the true one.
-        shifted, affine, along = warp.points(moved, np.full(len(moved), np.nan))
-        start, good = shifted, kept & np.isfinite(shifted).all(1)
-    good &= _usable(start, affine, there.shape)
+        start, affine, along = warp.points(warp.relief.ground_at(moved))
+        good = kept & np.isfinite(start).all(1) & _usable(start, affine, there.shape)
     rows = np.flatnonzero(good)
     if len(rows):
         xy, likeness = align(here.detail, there.detail, corners.xy[rows], start[rows], affine[rows], along[rows])
-        near = np.linalg.norm(xy - start[rows], axis=1) < MAX_SHIFT_PX
+        near = np.hypot(*(xy - start[rows]).T) < MAX_SHIFT_PX
         keep = near & (likeness > MIN_CORRELATION)
         found[rows[keep]], alike[rows[keep]] = xy[keep], likeness[keep]
-    return Sighted(found, alike, expected)
+    return Sighted(found, alike, expected, start if flow else predicted)
 
 
 def _usable(xy: F64, affine: F64, shape: tuple[int, ...]) -> NDArray[np.bool_]:
     """Points inside the picture whose surroundings are neither squeezed nor stretched too much to be compared."""
     height, width = shape
-    area = np.linalg.det(affine)
+    area = affine[:, 0, 0] * affine[:, 1, 1] - affine[:, 0, 1] * affine[:, 1, 0]
     good = (area > AREA_BOUNDS[0]) & (area < AREA_BOUNDS[1]) & (np.abs(affine).max((1, 2)) < MAX_STRETCH)
     inside = (xy > MARGIN_PX).all(1) & (xy < [width - MARGIN_PX, height - MARGIN_PX]).all(1)
     return np.asarray(good & inside, np.bool_)

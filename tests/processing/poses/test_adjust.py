@@ -10,18 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lfrig.processing import geometry
+from lfrig.processing.kernels.rig_chain import adjoint, motion_derivative, rotation_matrix
 from lfrig.processing.model import Camera, Pose
 from lfrig.processing.poses.adjust import Disparity, Reprojection, adjust
-from lfrig.processing.poses.arrangement import (
-    Arrangement,
-    Line,
-    Viewpoint,
-    adjoint,
-    motion_derivative,
-    moved,
-    rotation_matrix,
-    rotation_vector,
-)
+from lfrig.processing.poses.arrangement import Arrangement, Line, Viewpoint, moved, rotation_vector
 from lfrig.processing.poses.tracks import Observations
 
 CAMERA = Camera.centred(320, 240, 600.0)

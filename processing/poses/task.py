@@ -1,0 +1,87 @@
+"""What the light-field way is asked to solve, and what it calls solved."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from lfrig.processing.model import Evidence, LightField, Photo, RigPrior
+from lfrig.processing.poses import gate
+from lfrig.processing.poses.arrangement import Arrangement
+from lfrig.processing.poses.light_fields import Effort, second_pass
+from lfrig.processing.poses.matching import Gallery
+from lfrig.processing.poses.priors import depth_limits
+from lfrig.processing.poses.sightings import Followed, Looks
+from lfrig.processing.poses.structure import Structure
+from lfrig.processing.poses.tracks import Observations, Pair
+from lfrig.processing.poses.warp_lk import Sighted
+from lfrig.processing.poses.work import PoseWork
+
+
+SURE_NOISE_PX = 0.1
+"""Aligned patches of a right geometry agree to 0.04–0.08 px; above this another start is tried as well."""
+
+
+@dataclass(frozen=True)
+class Solved:
+    """A solution, and the matches that it rests on."""
+
+    structure: Structure
+    followed: Followed
+
+
+@dataclass(frozen=True)
+class Task:
+    """What is to be solved. ``features`` finds the SIFT features of all views (the photo's last) when needed,
+    ``quick_features`` those of the pictures at half size; ``work`` knows what earlier solves found.
+    """
+
+    sources: Sequence[LightField]
+    evidence: Sequence[Evidence]
+    target: Photo
+    prior: RigPrior
+    looks: Looks
+    features: Callable[[], Gallery]
+    quick_features: Callable[[], Gallery]
+    effort: Effort
+    work: PoseWork = field(default_factory=PoseWork)
+
+    @property
+    def depth_range_m(self) -> tuple[float, float]:
+        """Depths that points may have."""
+        return depth_limits(self.sources, self.prior)
+
+    @property
+    def rough_range_m(self) -> tuple[float, float]:
+        """The same with room for rough poses."""
+        near, far = self.depth_range_m
+        return near / 1.5, far * 1.5
+
+    @property
+    def names(self) -> list[str]:
+        """Of the sources."""
+        return [s.id for s in self.sources]
+
+
+def bare(arrangement: Arrangement, x: np.ndarray | None = None) -> Structure:
+    """The priors as they are (or other parameters), without a point."""
+    none, size = np.zeros(0, np.int64), arrangement.size
+    seen = Observations(none, none, none, np.zeros((0, 2)), np.zeros(0), np.zeros(0))
+    return Structure(
+        arrangement, np.zeros(size) if x is None else x, seen, np.zeros((0, 3)), 1.0, np.zeros((size, size))
+    )
+
+
+def finished(
+    task: Task, rough: Structure | None, sigma_deg: float | None, known: Mapping[Pair, Sighted] | None = None
+) -> Solved | None:
+    """The second pass, when the gate is passed; ``sigma_deg`` as `gate.doubts` takes it."""
+    if rough is None:
+        return None
+    solved, followed = second_pass(
+        task.looks, rough, task.depth_range_m, task.effort, task.work.followed(task.sources) if known is None else known
+    )
+    doubted = gate.doubts(solved, followed.fractions(), sigma_deg)
+    return None if doubted else Solved(solved, followed)
