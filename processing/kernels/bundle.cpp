@@ -13,6 +13,13 @@
 
 #include "lfrig/parallel.hpp"
 
+// Into the function with clones, so that it is compiled for each of their instruction sets.
+#if defined(__GNUC__)
+#define LFRIG_INLINE inline __attribute__((always_inline))
+#else
+#define LFRIG_INLINE inline
+#endif
+
 namespace nb = nanobind;
 using nb::ndarray;
 
@@ -39,7 +46,7 @@ struct Table {  // sightings sorted by point
 };
 
 // The camera's frame, and residuals with their squared lengths, of pixels and of disparity.
-inline void residuals(const double *v, const double *x, const double *measured, const double *inverse_sigma,
+LFRIG_INLINE void residuals(const double *v, const double *x, const double *measured, const double *inverse_sigma,
                       double *p, double *residual, double &pixels, double &disparity) {
     for (int i = 0; i < 3; ++i) p[i] = v[3 * i] * x[0] + v[3 * i + 1] * x[1] + v[3 * i + 2] * x[2] + v[9 + i];
     // Behind the camera the projection is meaningless: held just in front, its residual is huge and loses weight.
@@ -51,7 +58,7 @@ inline void residuals(const double *v, const double *x, const double *measured, 
     disparity = residual[2] * residual[2];
 }
 
-inline void derivatives(const double *v, const double *p, const double *inverse_sigma, Sighting &s) {
+LFRIG_INLINE void derivatives(const double *v, const double *p, const double *inverse_sigma, Sighting &s) {
     const double inverse = 1 / std::max(p[2], kNear), focal = v[12];
     const double scale = focal * inverse * inverse_sigma[0];
     for (int i = 0; i < 2; ++i) {
@@ -76,7 +83,7 @@ inline void derivatives(const double *v, const double *p, const double *inverse_
     }
 }
 
-inline void linearise(const double *v, const double *x, const double *measured, const double *inverse_sigma,
+LFRIG_INLINE void linearise(const double *v, const double *x, const double *measured, const double *inverse_sigma,
                       Sighting &s) {
     double p[3], pixels, disparity;
     residuals(v, x, measured, inverse_sigma, p, s.residual, pixels, disparity);
@@ -86,12 +93,12 @@ inline void linearise(const double *v, const double *x, const double *measured, 
 }
 
 // Derivative of a residual by the point in the world: Rᵀ ∂r/∂p.
-inline void by_point(const double *v, const double *local, double *out) {
+LFRIG_INLINE void by_point(const double *v, const double *local, double *out) {
     for (int i = 0; i < 3; ++i) out[i] = v[i] * local[0] + v[3 + i] * local[1] + v[6 + i] * local[2];
 }
 
 // Cholesky factor (lower: 00 10 11 20 21 22) of a symmetric 3x3 given the same way, damped; in place.
-inline void factorise(double *a, double damping) {
+LFRIG_INLINE void factorise(double *a, double damping) {
     const double trace = (a[0] + a[2] + a[5]) * (1 + damping);
     for (int i : {0, 2, 5}) a[i] = a[i] * (1 + damping) + (1e-12 * trace + 1e-30);
     a[0] = std::sqrt(a[0]);
@@ -103,14 +110,14 @@ inline void factorise(double *a, double damping) {
 }
 
 // L⁻¹ b, in place.
-inline void forward(const double *l, double *b) {
+LFRIG_INLINE void forward(const double *l, double *b) {
     b[0] /= l[0];
     b[1] = (b[1] - l[1] * b[0]) / l[2];
     b[2] = (b[2] - l[3] * b[0] - l[4] * b[1]) / l[5];
 }
 
 // L⁻ᵀ b, in place.
-inline void backward(const double *l, double *b) {
+LFRIG_INLINE void backward(const double *l, double *b) {
     b[2] /= l[5];
     b[1] = (b[1] - l[4] * b[2]) / l[2];
     b[0] = (b[0] - l[1] * b[1] - l[3] * b[2]) / l[0];
@@ -124,7 +131,7 @@ struct Point {
     std::vector<char> seen;
 };
 
-inline void begin_point(Point &p) {
+LFRIG_INLINE void begin_point(Point &p) {
     std::fill(p.own, p.own + 6, 0.0);
     std::fill(p.right, p.right + 3, 0.0);
     for (int v : p.views) p.seen[v] = 0;
@@ -132,7 +139,7 @@ inline void begin_point(Point &p) {
 }
 
 // Adds a sighting to its view's block of the system and to its point.
-inline void add_sighting(const Sighting &s, const double *view, int v, const double *inverse_sigma, int size,
+LFRIG_INLINE void add_sighting(const Sighting &s, const double *view, int v, const double *inverse_sigma, int size,
                          double *system, double *right, Point &p) {
     double *mixed = &p.mixed[size_t(v) * 3 * kLocal];
     if (!p.seen[v]) {
@@ -167,7 +174,7 @@ inline void add_sighting(const Sighting &s, const double *view, int v, const dou
 }
 
 // Eliminates a point: S −= Y Yᵀ on and above the diagonal of blocks, g −= Y y, with Y = W L⁻ᵀ.
-inline void eliminate(Point &p, double damping, int size, double *system, double *right) {
+LFRIG_INLINE void eliminate(Point &p, double damping, int size, double *system, double *right) {
     factorise(p.own, damping);
     forward(p.own, p.right);
     std::sort(p.views.begin(), p.views.end());

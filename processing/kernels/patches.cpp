@@ -5,9 +5,17 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
+#include <cstring>
 #include <stdexcept>
 
 #include "lfrig/parallel.hpp"
+
+// Into the function with clones, so that it is compiled for each of their instruction sets.
+#if defined(__GNUC__)
+#define LFRIG_INLINE inline __attribute__((always_inline))
+#else
+#define LFRIG_INLINE inline
+#endif
 
 namespace nb = nanobind;
 using nb::ndarray;
@@ -20,9 +28,19 @@ constexpr int kChannels = 4;      // of a picture: grey, its slopes, and nothing
 constexpr int kUnknowns = 4;      // shift and slant
 constexpr int kPointsPerItem = 64;
 
+using Four = float __attribute__((vector_size(16)));  // one pixel of a picture
+
+LFRIG_INLINE Four load(const float *p) {
+    Four out;
+    std::memcpy(&out, p, sizeof out);
+    return out;
+}
+
 struct Window {  // offsets and weights of a patch's pixels; those that fill the last lanes have no weight
     int count = 0;
+    int reach = 0;  // furthest whole pixel
     float dx[kMaxPixels], dy[kMaxPixels], weight[kMaxPixels];
+    int col[kMaxPixels], row[kMaxPixels];
 };
 
 struct Settings {
@@ -34,14 +52,14 @@ struct Sampled {
     float grey[kMaxPixels], slope_x[kMaxPixels], slope_y[kMaxPixels];
 };
 
-inline float sum_of(const float *lanes) {
+LFRIG_INLINE float sum_of(const float *lanes) {
     float total = 0;
     for (int l = 0; l < kLanes; ++l) total += lanes[l];
     return total;
 }
 
 // Cholesky solution of a symmetric positive system, in place of its right side.
-inline void solve(double a[kUnknowns][kUnknowns], double *b, int n) {
+LFRIG_INLINE void solve(double a[kUnknowns][kUnknowns], double *b, int n) {
     for (int j = 0; j < n; ++j) {
         for (int k = 0; k < j; ++k) a[j][j] -= a[j][k] * a[j][k];
         a[j][j] = std::sqrt(std::max(a[j][j], 1e-300));
@@ -61,15 +79,15 @@ inline void solve(double a[kUnknowns][kUnknowns], double *b, int n) {
 }
 
 // Bilinear values of a picture [H, W, 4] at x + full (dx, dy); the border is replicated.
-inline void sample(const float *picture, int height, int width, const double *xy, const double *full, const Window &w,
+LFRIG_INLINE void sample(const float *picture, int height, int width, const double *xy, const double *full, const Window &w,
                    Sampled &out) {
     alignas(64) float fx[kMaxPixels], fy[kMaxPixels], four[kMaxPixels * kChannels];
     alignas(64) int32_t at[kMaxPixels];
     const float x = float(xy[0]), y = float(xy[1]), right = float(width - 1), bottom = float(height - 1);
-    const float a = float(full[0]), b = float(full[1]), c = float(full[2]), d = float(full[3]);
+    const float xx = float(full[0]), across = float(full[1]), yx = float(full[2]), yy = float(full[3]);
     const int last_x = std::max(width - 2, 0), last_y = std::max(height - 2, 0);
     for (int k = 0; k < w.count; ++k) {
-        float u = x + (a * w.dx[k] + b * w.dy[k]), v = y + (c * w.dx[k] + d * w.dy[k]);
+        float u = x + (xx * w.dx[k] + across * w.dy[k]), v = y + (yx * w.dx[k] + yy * w.dy[k]);
         u = u > 0 ? u : 0.0f;  // not a number becomes 0
         v = v > 0 ? v : 0.0f;
         u = u < right ? u : right;
@@ -84,10 +102,9 @@ inline void sample(const float *picture, int height, int width, const double *xy
     const int next = width > 1 ? kChannels : 0, below = height > 1 ? width * kChannels : 0;
     for (int k = 0; k < w.count; ++k) {
         const float *p = picture + size_t(at[k]) * kChannels, *q = p + below;
-        for (int i = 0; i < kChannels; ++i) {
-            const float top = p[i] + fx[k] * (p[next + i] - p[i]), low = q[i] + fx[k] * (q[next + i] - q[i]);
-            four[k * kChannels + i] = top + fy[k] * (low - top);
-        }
+        const Four a = load(p), b = load(p + next), c = load(q), d = load(q + next);
+        const Four top = a + fx[k] * (b - a), low = c + fx[k] * (d - c), value = top + fy[k] * (low - top);
+        std::memcpy(four + k * kChannels, &value, sizeof value);
     }
     for (int k = 0; k < w.count; ++k) {
         out.grey[k] = four[k * kChannels];
@@ -97,7 +114,7 @@ inline void sample(const float *picture, int height, int width, const double *xy
 }
 
 // Takes the mean out of a patch and makes its contrast 1; returns what the contrast was.
-inline float standardise(const Window &w, float *values) {
+LFRIG_INLINE float standardise(const Window &w, float *values) {
     float lanes[kLanes] = {};
     for (int k = 0; k < w.count; k += kLanes)
         for (int l = 0; l < kLanes; ++l) lanes[l] += values[k + l] * w.weight[k + l];
@@ -114,47 +131,59 @@ inline float standardise(const Window &w, float *values) {
     return contrast;
 }
 
-inline float likeness(const Window &w, const float *a, const float *b) {
+// Σ a b over the pixels, and Σ a.
+LFRIG_INLINE float dot(int count, const float *a, const float *b) {
     float lanes[kLanes] = {};
-    for (int k = 0; k < w.count; k += kLanes)
-        for (int l = 0; l < kLanes; ++l) lanes[l] += a[k + l] * b[k + l] * w.weight[k + l];
+    for (int k = 0; k < count; k += kLanes)
+        for (int l = 0; l < kLanes; ++l) lanes[l] += a[k + l] * b[k + l];
     return sum_of(lanes);
+}
+
+LFRIG_INLINE float total(int count, const float *a) {
+    float lanes[kLanes] = {};
+    for (int k = 0; k < count; k += kLanes)
+        for (int l = 0; l < kLanes; ++l) lanes[l] += a[k + l];
+    return sum_of(lanes);
+}
+
+LFRIG_INLINE float likeness(const Window &w, const float *a, const float *b) {
+    alignas(64) float weighted[kMaxPixels];
+    for (int k = 0; k < w.count; ++k) weighted[k] = a[k] * w.weight[k];
+    return dot(w.count, weighted, b);
 }
 
 // The normal equations of shift (and slant, with four unknowns) of a patch against its reference. Columns are taken
 // without their means: weights sum to 1, so that is one product of means less.
-template <int N>
-inline void normal_equations(const Window &w, const Sampled &there, const float *reference, float contrast,
-                             const double *along, double a[kUnknowns][kUnknowns], double *b) {
-    float means[N][kLanes] = {}, products[N * (N + 1) / 2][kLanes] = {}, rights[N][kLanes] = {};
+LFRIG_INLINE void normal_equations(int n, const Window &w, const Sampled &there, const float *reference, float contrast,
+                                   const double *along, double a[kUnknowns][kUnknowns], double *b) {
+    alignas(64) float column[kUnknowns][kMaxPixels], weighted[kUnknowns][kMaxPixels], error[kMaxPixels];
     const float ax = float(along[0]), ay = float(along[1]), per_contrast = 1 / contrast;
-    for (int k = 0; k < w.count; k += kLanes)
-        for (int l = 0; l < kLanes; ++l) {
-            const float weight = w.weight[k + l], error = there.grey[k + l] - reference[k + l];
-            const float gx = there.slope_x[k + l] * per_contrast, gy = there.slope_y[k + l] * per_contrast;
-            float column[kUnknowns] = {gx, gy, 0, 0};
-            if (N > 2) {
-                const float moving = gx * ax + gy * ay;
-                column[2] = moving * w.dx[k + l];
-                column[3] = moving * w.dy[k + l];
-            }
-            for (int i = 0, ij = 0; i < N; ++i) {
-                const float weighted = column[i] * weight;
-                means[i][l] += weighted;
-                rights[i][l] += weighted * error;
-                for (int j = 0; j <= i; ++j, ++ij) products[ij][l] += weighted * column[j];
-            }
+    for (int k = 0; k < w.count; ++k) {
+        error[k] = there.grey[k] - reference[k];
+        column[0][k] = there.slope_x[k] * per_contrast;
+        column[1][k] = there.slope_y[k] * per_contrast;
+        weighted[0][k] = column[0][k] * w.weight[k];
+        weighted[1][k] = column[1][k] * w.weight[k];
+    }
+    if (n > 2)
+        for (int k = 0; k < w.count; ++k) {
+            const float moving = column[0][k] * ax + column[1][k] * ay;
+            column[2][k] = moving * w.dx[k];
+            column[3][k] = moving * w.dy[k];
+            weighted[2][k] = column[2][k] * w.weight[k];
+            weighted[3][k] = column[3][k] * w.weight[k];
         }
-    double mean[N];
-    for (int i = 0; i < N; ++i) mean[i] = sum_of(means[i]);
-    for (int i = 0, ij = 0; i < N; ++i) {
-        b[i] = sum_of(rights[i]);
-        for (int j = 0; j <= i; ++j, ++ij) a[i][j] = a[j][i] = double(sum_of(products[ij])) - mean[i] * mean[j];
+    double mean[kUnknowns];
+    for (int i = 0; i < n; ++i) {
+        mean[i] = total(w.count, weighted[i]);
+        b[i] = dot(w.count, weighted[i], error);
+        for (int j = 0; j <= i; ++j)
+            a[i][j] = a[j][i] = double(dot(w.count, weighted[i], column[j])) - mean[i] * mean[j];
     }
 }
 
 // One point: moves ``xy`` in the second picture, returns the likeness there.
-inline float align_one(const float *first, int first_height, int first_width, const float *second, int height,
+LFRIG_INLINE float align_one(const float *first, int first_height, int first_width, const float *second, int height,
                        int width, const Window &w, const Settings &set, const double *here, const double *affine,
                        const double *along, double *xy) {
     static constexpr double kIdentity[4] = {1, 0, 0, 1};
@@ -170,13 +199,13 @@ inline float align_one(const float *first, int first_height, int first_width, co
         const bool slant = pass >= set.shift_passes;
         double a[kUnknowns][kUnknowns], step[kUnknowns] = {0, 0, 0, 0};
         if (slant) {
-            normal_equations<4>(w, there, reference.grey, contrast, along, a, step);
+            normal_equations(4, w, there, reference.grey, contrast, along, a, step);
             for (int i : {2, 3}) {
                 a[i][i] += set.ridge;
                 step[i] += set.ridge * stretch[i - 2];
             }
         } else {
-            normal_equations<2>(w, there, reference.grey, contrast, along, a, step);
+            normal_equations(2, w, there, reference.grey, contrast, along, a, step);
         }
         for (int i : {0, 1}) a[i][i] += 1e-6;
         solve(a, step, slant ? 4 : 2);
@@ -214,22 +243,34 @@ struct Reference {
 };
 
 // Adds to the two sums of Gauss–Newton on a disparity what one view says.
-inline void compare_view(const uint8_t *picture, int height, int width, double x, double y, float ox, float oy,
+LFRIG_INLINE void compare_view(const uint8_t *picture, int height, int width, double x, double y, float ox, float oy,
                          const Window &w, const Reference &ref, float robust, float &slope, float &right) {
     alignas(64) float error[kMaxPixels];
+    alignas(64) uint8_t at[4][kMaxPixels];
     // A patch is not turned or stretched: all its pixels lie at the same fraction between theirs.
     x = x > -1e6 ? std::min(x, 1e6) : -1e6;
     y = y > -1e6 ? std::min(y, 1e6) : -1e6;
     const int x0 = int(std::floor(x)), y0 = int(std::floor(y));
     const float fx = float(x - x0), fy = float(y - y0);
     float lanes[kLanes] = {};
+    if (x0 >= w.reach && y0 >= w.reach && x0 + w.reach + 1 < width && y0 + w.reach + 1 < height) {
+        const uint8_t *middle = picture + size_t(y0) * width + x0;
+        for (int k = 0; k < w.count; ++k) {
+            const uint8_t *p = middle + w.row[k] * width + w.col[k], *q = p + width;
+            at[0][k] = p[0], at[1][k] = p[1], at[2][k] = q[0], at[3][k] = q[1];
+        }
+    } else {
+        for (int k = 0; k < w.count; ++k) {
+            const int i = x0 + w.col[k], j = y0 + w.row[k];
+            const int left = std::clamp(i, 0, width - 1), next = std::clamp(i + 1, 0, width - 1);
+            const uint8_t *p = picture + size_t(std::clamp(j, 0, height - 1)) * width;
+            const uint8_t *q = picture + size_t(std::clamp(j + 1, 0, height - 1)) * width;
+            at[0][k] = p[left], at[1][k] = p[next], at[2][k] = q[left], at[3][k] = q[next];
+        }
+    }
     for (int k = 0; k < w.count; ++k) {
-        const int i = x0 + int(w.dx[k]), j = y0 + int(w.dy[k]);
-        const int left = std::clamp(i, 0, width - 1), next = std::clamp(i + 1, 0, width - 1);
-        const uint8_t *p = picture + size_t(std::clamp(j, 0, height - 1)) * width;
-        const uint8_t *q = picture + size_t(std::clamp(j + 1, 0, height - 1)) * width;
-        const float top = float(p[left]) + fx * float(p[next] - p[left]);
-        const float low = float(q[left]) + fx * float(q[next] - q[left]);
+        const float a = at[0][k], b = at[1][k], c = at[2][k], d = at[3][k];
+        const float top = a + fx * (b - a), low = c + fx * (d - c);
         error[k] = top + fy * (low - top);
     }
     for (int k = 0; k < w.count; k += kLanes)
@@ -289,6 +330,9 @@ Window window_of(const Line &dx, const Line &dy, const Line &weight) {
         w.dx[k] = k < pixels ? dx(k) : 0;
         w.dy[k] = k < pixels ? dy(k) : 0;
         w.weight[k] = k < pixels ? weight(k) : 0;
+        w.col[k] = int(w.dx[k]);
+        w.row[k] = int(w.dy[k]);
+        w.reach = std::max({w.reach, std::abs(w.col[k]), std::abs(w.row[k])});
     }
     return w;
 }
