@@ -108,4 +108,3 @@ def corner_disparities(light_field: LightField, evidence: Evidence, xy: F64) -> 
     )  # fmt: skip
     good = known & (np.abs(step) < SETTLED_PX) & (np.abs(disparity - start) < MAX_CHANGE_PX)
     return np.where(good, disparity, np.nan)
-

@@ -52,10 +52,15 @@ def extract_features(image: U8, limit: int = MAX_FEATURES, *, size: float = 1.0)
     sift = cv2.SIFT.create(limit, 3, CONTRAST_THRESHOLD, 10, 1.6, enable_precise_upscale=True)
     keypoints, descriptor = sift.detectAndCompute(grey, None)
     if not keypoints:
-        return Features(np.zeros((0, 2)), np.zeros(0), np.zeros((0, 128), np.float32), np.zeros(0, np.int64))
+        return no_features()
     xy = (np.array([k.pt for k in keypoints], np.float64) + 0.5) * zoom - 0.5
     scale = np.array([k.size for k in keypoints], np.float64) / 2 * zoom.mean()
     root = np.sqrt(descriptor / np.maximum(descriptor.sum(1, keepdims=True), 1e-9))
     _, first, inverse = np.unique(xy, axis=0, return_index=True, return_inverse=True)
     place = first[inverse.reshape(-1)].astype(np.int64)
     return Features(xy, scale, np.rint(root * DESCRIPTOR_LENGTH).astype(np.float32), place)
+
+
+def no_features() -> Features:
+    """None at all."""
+    return Features(np.zeros((0, 2)), np.zeros(0), np.zeros((0, 128), np.float32), np.zeros(0, np.int64))

@@ -34,7 +34,11 @@ if TYPE_CHECKING:
     from lfrig.processing.poses.structure import Structure
 
 MIN_CONFIDENCE = 0.5
-MIN_JUDGES = 30
+MIN_JUDGES, ENOUGH_JUDGES = 30, 200
+"""Points that a line through disparities and depths needs; more than twice the latter make it no better for a guide."""
+
+GUIDE_ITERATIONS = 8
+
 MIN_INLIERS = 0.5
 TOLERANCE_SIGMAS = 3.0
 TOLERANCE_PX = 0.04
@@ -86,8 +90,10 @@ def scale_line(xy: F64, depth: F64, evidence: Evidence) -> ScaleFit | None:
     judged = disparity_around(xy, evidence)
     if judged.sure.sum() < MIN_JUDGES:
         return None
+    rows = np.flatnonzero(judged.sure)
+    rows = rows[:: max(1, len(rows) // ENOUGH_JUDGES)]
     try:
-        line = fit_affine(judged.own[judged.sure], 1 / depth[judged.sure])
+        line = fit_affine(judged.own[rows], 1 / depth[rows], iterations=GUIDE_ITERATIONS)
     except GeometryRefused:
         return None
     return line if line.a > 0 and line.inliers >= MIN_INLIERS else None

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from lfrig.contracts.progress import Monitor, Muted
-from lfrig.processing.geometry import world_points
+from lfrig.processing.geometry import rotation_angle_deg, world_points
+from lfrig.processing.model import Pose
 from lfrig.processing.poses.guide import disparity_around
 from lfrig.processing.poses.join_photo import join_located
 from lfrig.processing.poses.light_fields import first_pass
@@ -21,6 +23,9 @@ from lfrig.processing.poses.tracks import Observations
 
 MAX_TRIED = 2
 MAX_RANKED = 4
+NEAR_DEG = 22.0
+"""SIFT recognises most of what it sees at this angle."""
+
 RANKED_CORNERS = 250
 """Of every source, the strongest: enough to tell which of several places is the photo's."""
 
@@ -31,14 +36,24 @@ def with_located_photo(
     """The photo joined to solved sources. Features of half-size pictures come first; they place it to a pixel, and the
     corners see to the rest.
     """
-    for features in (task.quick_features, task.features):
-        candidates = _ranked(task, alone.structure, features(), known, monitor)
+    poses = alone.structure.poses
+    for features, views in ((task.quick_features, _spread(poses)), (task.features, range(len(poses)))):
+        candidates = _ranked(task, alone.structure, features(tuple(views)), known, monitor)
         for joined, held in candidates[:MAX_TRIED]:
             solved = finished(task, joined, sigma_deg, alone.followed.by_pair)
             if solved is not None:
                 held.release()
                 return solved
     return None
+
+
+def _spread(poses: Sequence[Pose]) -> list[int]:
+    """Views such that every other one is within `NEAR_DEG` of one of them."""
+    chosen: list[int] = []
+    for v, pose in enumerate(poses):
+        if all(rotation_angle_deg(pose.rotation, poses[c].rotation) > NEAR_DEG for c in chosen):
+            chosen.append(v)
+    return chosen
 
 
 def with_photo_at_priors(
@@ -48,7 +63,7 @@ def with_photo_at_priors(
     that in which most corners are found.
     """
     best, best_held = None, Muted(monitor)
-    for located in hypotheses(task, sources, task.features())[:MAX_TRIED]:
+    for located in hypotheses(task, sources, task.features(range(len(task.sources))))[:MAX_TRIED]:
         held = Muted(monitor)
         joined = join_located(sources, located, task.target, known, held)
         rough = first_pass(task.looks, joined.arrangement, joined.parameters, task.rough_range_m, task.effort)
@@ -81,11 +96,14 @@ def _ranked(
 
 
 def hypotheses(task: Task, solved: Structure, features: Gallery) -> list[Located]:
-    """Possible poses of the photo: its SIFT matches with every source, whose depths the light fields tell."""
+    """Possible poses of the photo: its SIFT matches with the sources that have features, whose depths the light fields
+    tell.
+    """
     count = len(task.sources)
+    asked = [v for v in range(count) if len(features[v])]
     cameras, poses, lines = solved.cameras, solved.poses, solved.arrangement.lines(solved.parameters)
     worlds, views, rows = [], [], []
-    for v in range(count):
+    for v in asked:
         line = lines[v]
         if line is None:
             continue
@@ -96,10 +114,12 @@ def hypotheses(task: Task, solved: Structure, features: Gallery) -> list[Located
         worlds.append(world_points(cameras[v], poses[v], features[v].xy[good], 1 / inverse[good]))
         views.append(np.full(len(good), v))
         rows.append(good)
+    if not worlds:
+        return []
     world, view, row = np.concatenate(worlds), np.concatenate(views), np.concatenate(rows)
     n = len(world)
     seen = Observations(np.arange(n), view, row, np.zeros((n, 2)), np.ones(n))
     known = replace(solved, seen=seen, points=world)
-    matches = {v: features.match(v, count) for v in range(count)}
+    matches = {v: features.match(v, count) for v in asked}
     theirs = dict(enumerate(features[:count]))
     return locate_photo(known, theirs, features[count], matches, known_camera(task.target))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +15,7 @@ from lfrig.processing.model import F64, Anchors, Evidence, LightField, Photo, Po
 from lfrig.processing.poses import gate
 from lfrig.processing.poses.anchors import collect_anchors, common_scale, scale_estimates
 from lfrig.processing.poses.confirm import confirmation, is_photo_tied, refuse_untied_photo
-from lfrig.processing.poses.features import extract_features
+from lfrig.processing.poses.features import extract_features, no_features
 from lfrig.processing.poses.guide import Guide
 from lfrig.processing.poses.join_photo import is_near
 from lfrig.processing.poses.light_fields import Effort
@@ -24,7 +24,7 @@ from lfrig.processing.poses.priors import depth_limits, has_turntable_prior, pho
 from lfrig.processing.poses.sightings import look_at
 from lfrig.processing.poses.solution import PoseMethod, PoseSolution, ScaleSource
 from lfrig.processing.poses.structure import Structure
-from lfrig.processing.poses.task import Task
+from lfrig.processing.poses.task import FindFeatures, Task
 from lfrig.processing.poses.with_given import solve_given
 from lfrig.processing.poses.with_light_fields import solve_with_light_fields, solved_scales
 from lfrig.processing.poses.with_prior import solve_with_prior
@@ -88,9 +88,9 @@ def solve_poses(
             else:
                 structure = solve_given(task, monitor)
         elif kind == "colmap":
-            structure = solve_without_prior(sources, evidence, features(), target, monitor)
+            structure = solve_without_prior(sources, evidence, features(range(len(sources))), target, monitor)
         else:
-            structure = solve_with_prior(kind, sources, evidence, features(), target, prior, monitor)
+            structure = solve_with_prior(kind, sources, evidence, features(range(len(sources))), target, prior, monitor)
         known = photo_prior(target, prior)
         if kind != "colmap" and (known is None or not is_near(structure.poses[-1], known)):
             guide = Guide(sources, evidence, depth_limits(sources, prior), True)
@@ -102,18 +102,23 @@ def solve_poses(
 
 def _lazy_features(
     sources: Sequence[LightField], target: Photo, work: PoseWork, monitor: Monitor, size: float
-) -> Callable[[], Gallery]:
-    """SIFT features of all views at a fraction of their size, the photo's last, found when first asked for."""
+) -> FindFeatures:
+    """SIFT features of views at a fraction of their size, the photo's last, found when first asked for."""
 
     @functools.cache
-    def found() -> Gallery:
+    def found(wanted: tuple[int, ...]) -> Gallery:
         features = []
-        for held, picture in (*((s.views, s.centre_view) for s in sources), (target.image, target.image8)):
-            features.append(work.once(f"features at {size:g}", (held,), lambda p=picture: extract_features(p, size=size)))
-            monitor.advance(0)
+        for v, picture in enumerate((*(s.centre_view for s in sources), target.image8)):
+            held = sources[v].views if v < len(sources) else target.image
+            if v in wanted or v == len(sources):
+                one = work.once(f"features at {size:g}", (held,), lambda p=picture: extract_features(p, size=size))
+                monitor.advance(0)
+            else:
+                one = no_features()
+            features.append(one)
         return Gallery(features)
 
-    return found
+    return lambda views: found(tuple(views))
 
 
 def choose_method(sources: Sequence[LightField], target: Photo, prior: RigPrior, method: PoseMethod) -> str:

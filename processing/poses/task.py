@@ -24,6 +24,10 @@ SURE_NOISE_PX = 0.1
 """Aligned patches of a right geometry agree to 0.04–0.08 px; above this another start is tried as well."""
 
 
+FindFeatures = Callable[[Sequence[int]], Gallery]
+"""SIFT features of all views, the photo's last, for the sources asked for; the others have none."""
+
+
 @dataclass(frozen=True)
 class Solved:
     """A solution, and the matches that it rests on."""
@@ -34,8 +38,8 @@ class Solved:
 
 @dataclass(frozen=True)
 class Task:
-    """What is to be solved. ``features`` finds the SIFT features of all views (the photo's last) when needed,
-    ``quick_features`` those of the pictures at half size; ``work`` knows what earlier solves found.
+    """What is to be solved. ``features`` finds the SIFT features of sources and photo when needed, ``quick_features``
+    those of the pictures at half size; ``work`` knows what earlier solves found.
     """
 
     sources: Sequence[LightField]
@@ -43,8 +47,8 @@ class Task:
     target: Photo
     prior: RigPrior
     looks: Looks
-    features: Callable[[], Gallery]
-    quick_features: Callable[[], Gallery]
+    features: FindFeatures
+    quick_features: FindFeatures
     effort: Effort
     work: PoseWork = field(default_factory=PoseWork)
 

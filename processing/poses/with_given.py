@@ -22,7 +22,9 @@ def solve_given(task: Task, monitor: Monitor) -> Structure:
     if solved is not None and solved.structure.noise_px < SURE_NOISE_PX:
         task.work.keep_solution(task.sources, solved.structure, solved.followed.by_pair)
         return solved.structure
-    return solve_with_prior("given", task.sources, task.evidence, task.features(), task.target, task.prior, monitor)
+    return solve_with_prior(
+        "given", task.sources, task.evidence, task.features(range(len(task.sources))), task.target, task.prior, monitor
+    )
 
 
 def _by_corners(task: Task, monitor: Monitor) -> Solved | None:

@@ -86,7 +86,13 @@ def _better(task: Task, lines: Sequence[Line | None], solved: Solved, monitor: M
 def _from_motion(task: Task, lines: Sequence[Line | None], monitor: Monitor) -> tuple[str, Solved]:
     """Structure from motion and the second pass on it."""
     first = solve_with_prior(
-        "colmap-turntable", task.sources, task.evidence, task.features(), task.target, task.prior, monitor
+        "colmap-turntable",
+        task.sources,
+        task.evidence,
+        task.features(range(len(task.sources))),
+        task.target,
+        task.prior,
+        monitor,
     )
     return _polished(task, lines, first, monitor)
 
@@ -155,9 +161,7 @@ def _refuse_wrong_direction(task: Task, arrangement: Arrangement) -> None:
             gate.refuse_direction()
 
 
-def _polished(
-    task: Task, lines: Sequence[Line | None], first: Structure, monitor: Monitor
-) -> tuple[str, Solved]:
+def _polished(task: Task, lines: Sequence[Line | None], first: Structure, monitor: Monitor) -> tuple[str, Solved]:
     """The second pass on what structure from motion found; dropped where it would lose a view."""
     guide = Guide(task.sources, task.evidence, task.depth_range_m, True)
     found = [guide.fitted_line(first, v) for v in range(len(task.sources))]

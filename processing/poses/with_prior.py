@@ -88,7 +88,9 @@ def solve_with_prior(
 
 def moved_back(solved: Structure, origin: F64) -> Structure:
     """What was solved around ``origin`` [3] in the frame of the given poses."""
-    return replace(solved, arrangement=recentred_arrangement(solved.arrangement, -origin), points=solved.points + origin)
+    return replace(
+        solved, arrangement=recentred_arrangement(solved.arrangement, -origin), points=solved.points + origin
+    )
 
 
 def is_free(arrangement: Arrangement) -> bool:
@@ -212,4 +214,3 @@ def _report_photo_angle(final: Structure, target: Photo, monitor: Monitor) -> No
             f"photo {target.id}: the turntable said {view.angle_deg:.2f}°, the images say "
             f"{view.angle_deg + turn:.2f}°; the images are believed",
         )
-
