@@ -30,7 +30,7 @@ HOLDS_PX, HOLDS_SHARE = 0.3, 0.9
 """Predictions of which this share moves less than this lead the alignment, whose start they are, to the same places."""
 
 FLOW_WINDOW_PX = 17
-FLOW_LEVELS = 3
+FLOW_LEVELS = 2
 WAY_BACK_PX = 1.5
 MIN_RESPONSE = 0.03
 MAX_COMMON_SHIFT = 0.15
@@ -49,6 +49,38 @@ class Picture:
     def shape(self) -> tuple[int, int]:
         """(height, width) [px]."""
         return self.even.shape[0], self.even.shape[1]
+
+    @cached_property
+    def small(self) -> Small:
+        """At half size."""
+        import cv2
+
+        height, width = self.shape
+        size = max(1, width // 2), max(1, height // 2)
+        even = cv2.resize(self.even, size, interpolation=cv2.INTER_AREA)
+        return Small(np.asarray(even, np.uint8), (width / size[0], height / size[1]))
+
+
+@dataclass(frozen=True)
+class Small:
+    """A picture at half size: ``even`` uint8 [h, w], and the size of its pixels in those of the full one."""
+
+    even: NDArray[np.uint8]
+    pixel: tuple[float, float]
+
+    @property
+    def to_full(self) -> F64:
+        """[3, 3]: homogeneous pixels of this picture as pixels of the full one."""
+        x, y = self.pixel
+        return np.array([[x, 0, (x - 1) / 2], [0, y, (y - 1) / 2], [0, 0, 1]])
+
+    def full(self, xy: F64) -> F64:
+        """Points [N, 2] of this picture in the full one."""
+        return np.asarray((xy + 0.5) * self.pixel - 0.5, np.float64)
+
+    def from_full(self, xy: F64) -> F64:
+        """The reverse of `full`."""
+        return np.asarray((xy + 0.5) / self.pixel - 0.5, np.float64)
 
 
 @dataclass(frozen=True)
@@ -109,12 +141,17 @@ class Warp:
     limits: tuple[float, float]
     """Lowest and highest inverse depth [1/m]."""
 
-    def field(self) -> tuple[F32, F32]:
-        """Where every pixel goes, x and y, float32 [H, W]."""
-        disparity = self.relief.disparity
-        height, width = disparity.shape
+    def field(self, here: Small, there: Small) -> tuple[F32, F32]:
+        """Where every pixel of the half-size picture goes in the other half-size picture, x and y, float32 [h, w]."""
+        import cv2
+
+        height, width = here.even.shape
+        disparity = cv2.resize(self.relief.disparity, (width, height), interpolation=cv2.INTER_AREA)
         inverse = np.clip(self.scale.inverse_depth(disparity), *self.limits).astype(np.float32)
-        matrix, offset = (m.astype(np.float32) for m in self._projection())
+        # Pixels of the half-size pictures as pixels of the full ones, and back.
+        up, down = here.to_full, np.linalg.inv(there.to_full)
+        matrix, offset = self._projection()
+        matrix, offset = (m.astype(np.float32) for m in (down @ matrix @ up, down @ offset))
         x, y = np.arange(width, dtype=np.float32)[None], np.arange(height, dtype=np.float32)[:, None]
         z = np.maximum(matrix[2, 0] * x + matrix[2, 1] * y + matrix[2, 2] + offset[2] * inverse, np.float32(1e-3))
         u = (matrix[0, 0] * x + matrix[0, 1] * y + matrix[0, 2] + offset[0] * inverse) / z
@@ -215,34 +252,39 @@ def _usable(xy: F64, affine: F64, shape: tuple[int, ...]) -> NDArray[np.bool_]:
 
 
 def _flowed(warp: Warp, here: Picture, there: Picture, xy: F64) -> tuple[F64, NDArray[np.bool_]]:
-    """Optical flow [N, 2] px from a picture to the other one seen from its place, and which points came back home."""
+    """Optical flow [N, 2] px from a picture to the other one seen from its place, and which points came back home.
+
+    At half size: it has to come within the reach of the alignment, no further.
+    """
     import cv2
 
-    u, v = warp.field()
+    near, far = here.small, there.small
+    u, v = warp.field(near, far)
     # The border is flat, so nothing there attracts the flow.
-    seen = cv2.remap(there.even, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=128)
-    points = xy[:, None].astype(np.float32)
-    shift = common_shift(here.even, np.asarray(seen, np.uint8))
+    seen = np.asarray(
+        cv2.remap(far.even, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=128), np.uint8
+    )
+    points = near.from_full(xy)[:, None].astype(np.float32)
+    shift = common_shift(near.even, seen)
     flow = partial(
         cv2.calcOpticalFlowPyrLK, winSize=(FLOW_WINDOW_PX, FLOW_WINDOW_PX), maxLevel=FLOW_LEVELS,
         flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
     )  # fmt: skip
-    moved, forth, _ = flow(here.even, seen, points, points + shift)
-    home, back, _ = flow(seen, here.even, moved, moved - shift)
-    close = np.linalg.norm((home - points)[:, 0], axis=1) < WAY_BACK_PX
-    return moved[:, 0].astype(np.float64), np.asarray((forth[:, 0] > 0) & (back[:, 0] > 0) & close, np.bool_)
+    moved, forth, _ = flow(near.even, seen, points, points + shift)
+    home, back, _ = flow(seen, near.even, moved, moved - shift)
+    close = np.hypot(*(home - points)[:, 0].T) < WAY_BACK_PX / 2
+    return near.full(moved[:, 0].astype(np.float64)), np.asarray((forth[:, 0] > 0) & (back[:, 0] > 0) & close, np.bool_)
 
 
 def common_shift(first: NDArray[np.uint8], second: NDArray[np.uint8]) -> F32:
-    """How far the second picture is shifted as a whole, float32 [2] px (phase correlation at half size); zero where
-    nothing stands out.
+    """How far the second picture is shifted as a whole, float32 [2] px (phase correlation); zero where nothing stands
+    out.
     """
     import cv2
 
-    height, width = first.shape
-    size = (width // 2, height // 2)
-    a, b = (cv2.resize(p, size, interpolation=cv2.INTER_AREA).astype(np.float32) - 128 for p in (first, second))
+    size = first.shape[1], first.shape[0]
+    a, b = (p.astype(np.float32) - 128 for p in (first, second))
     (dx, dy), response = cv2.phaseCorrelate(a, b, cv2.createHanningWindow(size, cv2.CV_32F))
-    if response < MIN_RESPONSE or max(abs(dx), abs(dy)) * 2 > MAX_COMMON_SHIFT * width:
+    if response < MIN_RESPONSE or max(abs(dx), abs(dy)) > MAX_COMMON_SHIFT * size[0]:
         return np.zeros(2, np.float32)
-    return np.array([2 * dx, 2 * dy], np.float32)
+    return np.array([dx, dy], np.float32)
