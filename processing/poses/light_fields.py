@@ -46,8 +46,8 @@ MAX_ROUNDS = 4
 SETTLED_DEG = 0.03
 """Rotations that change by less move no prediction by a pixel."""
 
-ROUND_POINTS = 1000
-"""So many points place the views to a tenth of what `SETTLED_DEG` asks for."""
+ROUND_CORNERS = 300
+"""So many of each light field place the views to a tenth of what `SETTLED_DEG` asks for."""
 
 LOST_FRACTION = 0.15
 ENOUGH_SHARED = 100
@@ -55,6 +55,10 @@ ENOUGH_SHARED = 100
 FLOW_SCHEDULE = ((16.0, 0.06), (4.0, 0.06), (1.2, 0.02), (0.4, 0.012))
 ALIGN_SCHEDULE = ((0.5, 0.012),)
 """Noise levels [px] and [px of disparity], falling, before the residuals say what the noise is."""
+
+
+Known = Mapping[Pair, Sighted]
+NOTHING_KNOWN: Known = MappingProxyType({})
 
 
 @dataclass(frozen=True)
@@ -183,43 +187,57 @@ def first_pass(
     return solved if counts.min() >= ENOUGH_POINTS else None
 
 
-def second_pass(
-    looks: Looks,
-    rough: Structure,
-    depth_range_m: tuple[float, float],
-    effort: Effort,
-    known: Mapping[Pair, Sighted] = MappingProxyType({}),
-) -> tuple[Structure, Followed]:
-    """Align all corners in every view within reach of a rough solution, and solve again; until that moves little.
+@dataclass(frozen=True)
+class Aligned:
+    """What the second pass made: the solution, the sightings it rests on, and what ``part`` of all corners it took."""
 
-    Pairs that hardly share a point are followed by flow once more: the first pass need not have seen them. Rounds
-    adjust no more points than settle the poses to a fraction of a pixel; all of them have the last word. ``known`` are
-    pairs that were followed already.
+    structure: Structure
+    followed: Followed
+    part: float = 1.0
+
+
+def second_pass(
+    looks: Looks, rough: Structure, depth_range_m: tuple[float, float], effort: Effort, known: Known = NOTHING_KNOWN
+) -> Aligned:
+    """Align all corners in every view within reach of a solution that a fraction of them has settled (`settle`)."""
+    settled = settle(looks, rough, depth_range_m, effort, known).structure
+    arrangement, x = settled.arrangement, settled.parameters
+    pairs = directed_pairs(settled.poses, len(looks.reliefs), PAIR_LIMIT_DEG)
+    followed = follow_all(looks, arrangement, x, pairs, depth_range_m, known=known)
+    solved = adjust_light_fields(arrangement, x, followed.seen, depth_range_m, ALIGN_SCHEDULE, effort)
+    return Aligned(solved, followed)
+
+
+def settle(
+    looks: Looks, rough: Structure, depth_range_m: tuple[float, float], effort: Effort, known: Known = NOTHING_KNOWN
+) -> Aligned:
+    """Align the strongest corners in every view within reach of a rough solution, and solve again; until that moves
+    little.
+
+    Pairs that hardly share a point are followed by flow once more: the first pass need not have seen them. ``known``
+    are pairs that were followed already.
     """
-    arrangement, x, poses = rough.arrangement, rough.parameters, rough.poses
-    pairs = directed_pairs(poses, len(looks.reliefs), PAIR_LIMIT_DEG)
-    lost = set[Pair]()
+    solved, lost = rough, set[Pair]()
+    pairs = directed_pairs(rough.poses, len(looks.reliefs), PAIR_LIMIT_DEG)
+    corners = sum(len(relief.corners) for relief in looks.reliefs)
+    part = sum(min(len(relief.corners), ROUND_CORNERS) for relief in looks.reliefs) / max(corners, 1)
     for _ in range(MAX_ROUNDS):
-        followed = follow_all(looks, arrangement, x, pairs, depth_range_m, flow=lost, known=known)
-        known = followed.by_pair
-        part = _thinned(followed.seen, ROUND_POINTS)
-        solved = adjust_light_fields(arrangement, x, part, depth_range_m, ALIGN_SCHEDULE, effort)
-        again = bool(lost) or _moved_deg(poses, solved.poses) > SETTLED_DEG
-        x, poses = solved.parameters, solved.poses
-        shared = common_points(solved) * (followed.seen.count / max(part.count, 1))
+        before = solved.poses
+        followed = follow_all(
+            looks, solved.arrangement, solved.parameters, pairs, depth_range_m, flow=lost, limit=ROUND_CORNERS,
+            known=known,
+        )  # fmt: skip
+        known = {**known, **followed.by_pair}
+        solved = adjust_light_fields(
+            solved.arrangement, solved.parameters, followed.seen, depth_range_m, ALIGN_SCHEDULE, effort
+        )
+        again = bool(lost) or _moved_deg(before, solved.poses) > SETTLED_DEG
+        shared = common_points(solved)
         # A pair that flow has just failed for is let go.
-        lost = {p for p in pairs if shared[p] < ENOUGH_SHARED and followed.fraction(p) < LOST_FRACTION} - lost
+        lost = {p for p in pairs if shared[p] < part * ENOUGH_SHARED and followed.fraction(p) < LOST_FRACTION} - lost
         if not (again or lost):
             break
-    if part.count < followed.seen.count:
-        solved = adjust_light_fields(arrangement, x, followed.seen, depth_range_m, ALIGN_SCHEDULE, effort)
-    return solved, followed
-
-
-def _thinned(seen: Observations, points: int) -> Observations:
-    """Every so manyth point, about ``points`` of them at least."""
-    stride = max(1, seen.count // max(points, 1))
-    return seen if stride == 1 else seen.keep(seen.point % stride == 0)[0]
+    return Aligned(solved, followed, part)
 
 
 def _moved_deg(before: Sequence[Pose], after: Sequence[Pose]) -> float:

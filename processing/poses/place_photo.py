@@ -40,7 +40,7 @@ def with_located_photo(
     for features, views in ((task.quick_features, _spread(poses)), (task.features, range(len(poses)))):
         candidates = _ranked(task, alone.structure, features(tuple(views)), known, monitor)
         for joined, held in candidates[:MAX_TRIED]:
-            solved = finished(task, joined, sigma_deg, alone.followed.by_pair)
+            solved = finished(task, joined, sigma_deg, {**alone.followed.by_pair, **task.work.followed(task.sources)})
             if solved is not None:
                 held.release()
                 return solved

@@ -85,7 +85,7 @@ class Followed:
     def fraction(self, pair: Pair) -> float:
         """Share of the corners found."""
         sighted = self.by_pair.get(pair)
-        return 0.0 if sighted is None else sighted.count / max(sighted.expected, 1)
+        return 0.0 if sighted is None else sighted.fraction
 
     def fractions(self) -> dict[Pair, float]:
         """All of them."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -10,13 +10,12 @@ import numpy as np
 from lfrig.processing.model import Evidence, LightField, Photo, RigPrior
 from lfrig.processing.poses import gate
 from lfrig.processing.poses.arrangement import Arrangement
-from lfrig.processing.poses.light_fields import Effort, second_pass
+from lfrig.processing.poses.light_fields import Aligned, Effort, Known, second_pass, settle
 from lfrig.processing.poses.matching import Gallery
 from lfrig.processing.poses.priors import depth_limits
 from lfrig.processing.poses.sightings import Followed, Looks
 from lfrig.processing.poses.structure import Structure
-from lfrig.processing.poses.tracks import Observations, Pair
-from lfrig.processing.poses.warp_lk import Sighted
+from lfrig.processing.poses.tracks import Observations
 from lfrig.processing.poses.work import PoseWork
 
 
@@ -78,14 +77,26 @@ def bare(arrangement: Arrangement, x: np.ndarray | None = None) -> Structure:
     )
 
 
-def finished(
-    task: Task, rough: Structure | None, sigma_deg: float | None, known: Mapping[Pair, Sighted] | None = None
-) -> Solved | None:
+def finished(task: Task, rough: Structure | None, sigma_deg: float | None, known: Known | None = None) -> Solved | None:
     """The second pass, when the gate is passed; ``sigma_deg`` as `gate.doubts` takes it."""
+    return _passed(task, rough, sigma_deg, known, second_pass)
+
+
+def placed(task: Task, rough: Structure | None, sigma_deg: float | None) -> Solved | None:
+    """Views placed well enough for the photo to join them, when the gate is passed."""
+    return _passed(task, rough, sigma_deg, None, settle)
+
+
+def _passed(
+    task: Task,
+    rough: Structure | None,
+    sigma_deg: float | None,
+    known: Known | None,
+    solve: Callable[[Looks, Structure, tuple[float, float], Effort, Known], Aligned],
+) -> Solved | None:
     if rough is None:
         return None
-    solved, followed = second_pass(
-        task.looks, rough, task.depth_range_m, task.effort, task.work.followed(task.sources) if known is None else known
-    )
-    doubted = gate.doubts(solved, followed.fractions(), sigma_deg)
-    return None if doubted else Solved(solved, followed)
+    followed = task.work.followed(task.sources) if known is None else known
+    found = solve(task.looks, rough, task.depth_range_m, task.effort, followed)
+    doubted = gate.doubts(found.structure, found.followed.fractions(), sigma_deg, found.part)
+    return None if doubted else Solved(found.structure, found.followed)

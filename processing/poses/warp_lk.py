@@ -26,8 +26,8 @@ MAX_SHIFT_PX = 4.0
 
 AREA_BOUNDS = (0.25, 4.0)
 MAX_STRETCH = 2.5
-HOLDS_PX, HOLDS_SHARE = 0.3, 0.9
-"""Predictions of which this share moves less than this lead the alignment, whose start they are, to the same places."""
+HOLDS_PX, HOLDS_SHARE, HOLDS_POINTS = 0.3, 0.9, 50
+"""Predictions (of so many corners) of which this share moves less than this lead the alignment, whose start they are, to the same places."""
 
 FLOW_WINDOW_PX = 17
 FLOW_LEVELS = 2
@@ -121,6 +121,10 @@ class Ground:
     disparity: F64
     slope: F64
 
+    def take(self, rows: NDArray[np.intp]) -> Ground:
+        """Some of the points."""
+        return Ground(self.xy[rows], self.disparity[rows], self.slope[rows])
+
 
 @dataclass(frozen=True)
 class Station:
@@ -184,13 +188,18 @@ class Warp:
 @dataclass(frozen=True)
 class Sighted:
     """Corners in another picture: ``xy`` float64 [N, 2] px, NaN where not found; ``likeness`` float32 [N], the
-    normalised correlation of the patches; how many were ``expected`` inside the picture; and where, ``start`` [N, 2].
+    normalised correlation of the patches; ``start`` float64 [N, 2], where they were looked for; and which of them were
+    ``expected`` inside the picture, bool [N].
     """
 
     xy: F64
     likeness: F32
-    expected: int
     start: F64
+    expected: NDArray[np.bool_]
+
+    def first(self, count: int) -> Sighted:
+        """The strongest corners only."""
+        return Sighted(self.xy[:count], self.likeness[:count], self.start[:count], self.expected[:count])
 
     @property
     def count(self) -> int:
@@ -202,44 +211,53 @@ class Sighted:
         """Which were [N]."""
         return np.isfinite(self.xy[:, 0])
 
-    def still_holds(self, start: F64) -> bool:
+    @property
+    def fraction(self) -> float:
+        """Share of the expected ones that were found."""
+        return self.count / max(int(self.expected.sum()), 1)
+
+    def still_holds(self, warp: Warp) -> bool:
         """Whether the corners are expected where they were: looking again would find the same."""
-        found = self.found
-        if len(start) != len(found) or not found.any():
+        rows = np.flatnonzero(self.found)
+        rows = rows[:: max(1, len(rows) // HOLDS_POINTS)]
+        if not len(rows):
             return False
-        moved = np.hypot(*(start[found] - self.start[found]).T)
+        moved = np.hypot(*(warp.points(warp.relief.ground.take(rows))[0] - self.start[rows]).T)
         return bool(np.quantile(moved, HOLDS_SHARE) < HOLDS_PX)
 
 
 def follow(warp: Warp, here: Picture, there: Picture, *, flow: bool, before: Sighted | None = None) -> Sighted:
     """Where the light field's corners appear in another picture.
 
-    With ``flow`` the prediction may be off by tens of pixels; without, by a few. What was found ``before`` is handed
-    back where the prediction has hardly changed since.
+    With ``flow`` the prediction may be off by tens of pixels; without, by a few. What was found ``before``, of these
+    corners or more, is handed back where the prediction has hardly changed since.
     """
     corners = warp.relief.corners
-    found, alike = np.full((len(corners), 2), np.nan), np.zeros(len(corners), np.float32)
-    if not len(corners):
-        return Sighted(found, alike, 0, found)
-    predicted, affine, along = warp.points(warp.relief.ground)
-    if before is not None and not flow and before.still_holds(predicted):
-        return before
-    start, good = predicted, np.isfinite(predicted).all(1) & _usable(predicted, affine, there.shape)
-    expected = int(good.sum())
+    count = len(corners)
+    if before is not None and not flow and count <= len(before.xy):
+        kept = before if count == len(before.xy) else before.first(count)
+        if kept.still_holds(warp):
+            return kept
+    found, alike = np.full((count, 2), np.nan), np.zeros(count, np.float32)
+    if not count:
+        return Sighted(found, alike, found, np.zeros(0, bool))
+    start, affine, along = warp.points(warp.relief.ground)
+    expected = np.isfinite(start).all(1) & _usable(start, affine, there.shape)
+    good = expected
     if flow:
-        moved, kept = _flowed(warp, here, there, corners.xy)
+        moved, kept_rows = _flowed(warp, here, there, corners.xy)
         height, width = here.shape
         moved = np.clip(moved, 3, [width - 4, height - 4])
         # Where the flow says that the corner went in the warped picture, and from there on into the true one.
         start, affine, along = warp.points(warp.relief.ground_at(moved))
-        good = kept & np.isfinite(start).all(1) & _usable(start, affine, there.shape)
+        good = kept_rows & np.isfinite(start).all(1) & _usable(start, affine, there.shape)
     rows = np.flatnonzero(good)
     if len(rows):
         xy, likeness = align(here.detail, there.detail, corners.xy[rows], start[rows], affine[rows], along[rows])
         near = np.hypot(*(xy - start[rows]).T) < MAX_SHIFT_PX
         keep = near & (likeness > MIN_CORRELATION)
         found[rows[keep]], alike[rows[keep]] = xy[keep], likeness[keep]
-    return Sighted(found, alike, expected, start if flow else predicted)
+    return Sighted(found, alike, start, expected)
 
 
 def _usable(xy: F64, affine: F64, shape: tuple[int, ...]) -> NDArray[np.bool_]:

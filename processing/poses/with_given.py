@@ -8,7 +8,7 @@ from lfrig.processing.poses.light_fields import recorded_line, with_lines
 from lfrig.processing.poses.place_photo import with_located_photo
 from lfrig.processing.poses.priors import centred_arrangement, photo_prior, with_photo
 from lfrig.processing.poses.structure import Structure
-from lfrig.processing.poses.task import SURE_NOISE_PX, Solved, Task, bare, finished
+from lfrig.processing.poses.task import SURE_NOISE_PX, Solved, Task, bare, finished, placed
 from lfrig.processing.poses.with_prior import moved_back, solve_with_prior
 
 
@@ -40,7 +40,7 @@ def _by_corners(task: Task, monitor: Monitor) -> Solved | None:
         whole = with_photo(arrangement, task.target, known)
         solved = finished(task, bare(whole, task.work.start(whole, task.sources)), None)
     else:
-        alone = finished(task, bare(arrangement, task.work.start(arrangement, task.sources)), None)
+        alone = placed(task, bare(arrangement, task.work.start(arrangement, task.sources)), None)
         solved = None if alone is None else with_located_photo(task, alone, None, None, monitor)
     if solved is None:
         return None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -25,7 +25,7 @@ from lfrig.processing.poses.light_fields import (
 from lfrig.processing.poses.place_photo import with_located_photo, with_photo_at_priors
 from lfrig.processing.poses.priors import PUPIL_SHIFT_M, photo_prior, turntable_arrangement, with_photo
 from lfrig.processing.poses.structure import Structure
-from lfrig.processing.poses.task import SURE_NOISE_PX, Solved, Task, bare, finished
+from lfrig.processing.poses.task import SURE_NOISE_PX, Solved, Task, bare, finished, placed
 from lfrig.processing.poses.with_prior import solve_with_prior
 
 MAX_SHIFTED = 3
@@ -107,7 +107,7 @@ def _by_light_fields(task: Task, arrangement: Arrangement, monitor: Monitor) -> 
     sigma_deg = task.prior.turntable_sigma_deg
     if known is not None:
         whole = with_photo(arrangement, task.target, known)
-        before = _from_before(task, whole)
+        before = _from_before(task, whole, finished)
         if before is not None:
             return before
         for start in _starts(whole):
@@ -116,24 +116,26 @@ def _by_light_fields(task: Task, arrangement: Arrangement, monitor: Monitor) -> 
             if solved is not None:
                 return solved
     zero = np.zeros(arrangement.size)
-    alone = _from_before(task, arrangement)
+    alone = _from_before(task, arrangement, placed)
     if alone is not None:
         return with_located_photo(task, alone, known, sigma_deg, monitor)
     if widest_link_deg(arrangement.poses(zero)) > ALONE_STEP_DEG or len(task.sources) == 1:
         # Too far apart without the photo between them: it is located from the priors as they are.
         return None if known is None else with_photo_at_priors(task, bare(arrangement), known, sigma_deg, monitor)
     rough = first_pass(task.looks, arrangement, zero, task.rough_range_m, task.effort)
-    alone = finished(task, rough, sigma_deg)
+    alone = placed(task, rough, sigma_deg)
     return None if alone is None else with_located_photo(task, alone, known, sigma_deg, monitor)
 
 
-def _from_before(task: Task, arrangement: Arrangement) -> Solved | None:
+def _from_before(
+    task: Task, arrangement: Arrangement, solve: Callable[[Task, Structure, float | None], Solved | None]
+) -> Solved | None:
     """Solved from where an earlier solution left the sources; None where there is none, or it does not pass the gate.
 
     What is not where it is expected, the photo or a new source, is followed by flow (`second_pass`).
     """
     x = task.work.start(arrangement, task.sources)
-    return None if x is None else finished(task, bare(arrangement, x), task.prior.turntable_sigma_deg)
+    return None if x is None else solve(task, bare(arrangement, x), task.prior.turntable_sigma_deg)
 
 
 def _starts(whole: Arrangement) -> Iterator[F64]:
@@ -179,7 +181,8 @@ def _polished(task: Task, lines: Sequence[Line | None], first: Structure, monito
         now = Line.of_scale(scale, cameras[v], 0.0)
         x[start : start + 2] = np.log([now.baseline_m / line.baseline_m, now.inverse_focus / line.inverse_focus])
     rough = replace(first, arrangement=with_lines(first.arrangement, priors), parameters=x)
-    solved, followed = second_pass(task.looks, rough, task.depth_range_m, task.effort)
+    aligned = second_pass(task.looks, rough, task.depth_range_m, task.effort)
+    solved, followed = aligned.structure, aligned.followed
     # Angles and focal lengths have been judged, and warned of, already.
     doubted = gate.doubts(solved, followed.fractions(), None)
     if doubted:
