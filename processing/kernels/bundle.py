@@ -97,6 +97,21 @@ def linearise(views: F64, points: F64, seen: Sightings) -> Linear:
     return Linear(residual, d_local, d_inner)
 
 
+def triangulate(views: F64, seen: Sightings, count: int, passes: int = 3) -> F64:
+    """World points float64 [count, 3] from their pixels, linear in the points and reweighted by depth (Hartley &
+    Zisserman, 12.2).
+
+    Points that no two rays determine come out far away or behind a camera; those that are not seen are 0.
+    """
+    native = load_native("lfrig.processing.kernels._native")
+    if native is None:
+        return triangulate_numpy(views, seen, count, passes)
+    points = np.zeros((count, 3))
+    views, _, *rest = _arguments(views, points, seen)
+    native.bundle_triangulate(views, *rest, passes, points)
+    return points
+
+
 def robust_cost(views: F64, points: F64, seen: Sightings) -> float:
     """Sum of 4 ln(1 + r²/4) over pixels and disparities."""
     native = load_native("lfrig.processing.kernels._native")
@@ -144,6 +159,29 @@ def _arguments(views: F64, points: F64, seen: Sightings) -> tuple[np.ndarray, ..
         np.ascontiguousarray(seen.point, np.int32), np.ascontiguousarray(seen.view, np.int32),
         np.ascontiguousarray(seen.measured, np.float64), np.ascontiguousarray(seen.inverse_sigma, np.float64),
     )  # fmt: skip
+
+
+def triangulate_numpy(views: F64, seen: Sightings, count: int, passes: int) -> F64:
+    """NumPy twin of `triangulate`."""
+    points = np.zeros((count, 3))
+    v = views[seen.view]
+    rotation, shift, focal = v[:, :9].reshape(-1, 3, 3), v[:, 9:12], v[:, 12]
+    # Each sighting gives two equations  (R[:2] − n R[2]) X = n t[2] − t[:2]  with n the normalised pixel.
+    n = (seen.measured[:, :2] - v[:, 13:15]) / focal[:, None]
+    rows = rotation[:, :2] - n[:, :, None] * rotation[:, 2][:, None, :]
+    right = n * shift[:, 2:] - shift[:, :2]
+    weight = focal
+    for _ in range(passes):
+        weighted = rows * weight[:, None, None] ** 2
+        normal, known = np.zeros((count, 3, 3)), np.zeros((count, 3))
+        np.add.at(normal, seen.point, np.einsum("mra,mrb->mab", weighted, rows))
+        np.add.at(known, seen.point, np.einsum("mra,mr->ma", weighted, right))
+        # A trace-relative ridge keeps parallel rays solvable without moving the others.
+        ridge = 1e-12 * np.trace(normal, axis1=1, axis2=2) + 1e-30
+        points = np.linalg.solve(normal + ridge[:, None, None] * np.eye(3), known[..., None])[..., 0]
+        depth = np.einsum("ma,ma->m", rotation[:, 2], points[seen.point]) + shift[:, 2]
+        weight = focal / np.maximum(np.abs(depth), NEAR)
+    return np.asarray(points, np.float64)
 
 
 def robust_cost_numpy(views: F64, points: F64, seen: Sightings) -> float:

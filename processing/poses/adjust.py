@@ -28,7 +28,7 @@ from lfrig.processing.kernels.bundle import (
 from lfrig.processing.model import F64, Camera, Pose
 from lfrig.processing.poses.arrangement import Arrangement, Line
 from lfrig.processing.poses.tracks import Observations
-from lfrig.processing.poses.triangulate import stack
+from lfrig.processing.poses.triangulate import pixels_of, stack
 from lfrig.processing.skipping import Tally
 
 SETTLED_SIGMAS = 0.1
@@ -53,11 +53,7 @@ class Reprojection:
 
     def sightings(self) -> Sightings:
         """See `ResidualBlock`."""
-        count = len(self.seen)
-        return Sightings(
-            self.seen.point.astype(np.int32), self.seen.view.astype(np.int32),
-            np.c_[self.seen.xy, np.zeros(count)], np.c_[1 / self.sigma_px, np.zeros(count)],
-        )  # fmt: skip
+        return pixels_of(self.seen, self.sigma_px)
 
     def linearise(
         self, cameras: Sequence[Camera], poses: Sequence[Pose], points: F64, lines: Sequence[Line | None] = ()
