@@ -4,6 +4,7 @@
 - ``pareto``    error against CPU time, ours and the peers'
 - ``poses``     the pose stage against the truth, and what it makes of faults
 - ``decode``    what the decode of raw light fields costs and loses
+- ``speed``     how long whole runs, updates of a live session and single stages take, and their memory
 - ``stress``    what must hold, or be refused by name, on inputs that break things
 - ``regression``  figures of a small benchmark against stored bounds, for every change
 - ``peers``     other methods on the same inputs
@@ -28,6 +29,7 @@ BENCHES = {
     "decode": "lfrig.bench.decode",
     "regression": "lfrig.bench.regression",
     "poses": "lfrig.bench.poses",
+    "speed": "lfrig.bench.speed",
 }
 
 

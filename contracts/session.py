@@ -7,7 +7,7 @@ from typing import ClassVar
 from pydantic import Field, field_validator
 
 from lfrig.contracts.capture import PoseSpec
-from lfrig.contracts.schema import DepthRange, Document, Model, NonNegative
+from lfrig.contracts.schema import DepthRange, Document, Model, NonNegative, Positive
 
 _NOT_IN_ID = set("/\\,\0\n\r")
 """Separators of paths, of lists on the command line, of lines."""
@@ -33,6 +33,13 @@ class RigCameras(Model):
     target: CameraMount | None = None
 
 
+class PlateSpec(Model):
+    """How far the turntable's load reaches: a cylinder about the axis, from the plate up."""
+
+    radius_m: Positive
+    height_m: Positive
+
+
 class RigSpec(Model):
     """What is known of the rig. ``camera_from_plate`` directly here means the light-field camera's."""
 
@@ -40,6 +47,8 @@ class RigSpec(Model):
     camera_from_plate: PoseSpec | None = None
     turntable_sigma_deg: NonNegative | None = None
     depth_range_m: DepthRange | None = None
+    plate: PlateSpec | None = None
+    """Given, only what stands on the plate is computed."""
 
     def light_field_mount(self) -> PoseSpec | None:
         """Pose of the light-field camera to the plate, from either spelling."""

@@ -169,13 +169,24 @@ class Photo:
 
 
 @dataclass(frozen=True)
+class Plate:
+    """How far the turntable's load reaches: a cylinder about the axis (+z of the plate), from the plate up [m]."""
+
+    radius_m: float
+    height_m: float
+
+
+@dataclass(frozen=True)
 class RigPrior:
-    """What the rig knows before any image is looked at: camera poses to the plate at angle 0, and their sigmas."""
+    """What the rig knows before any image is looked at: camera poses to the plate at angle 0, and their sigmas;
+    ``plate`` where only what stands on it matters.
+    """
 
     light_field_from_plate: Pose | None = None
     target_from_plate: Pose | None = None
     turntable_sigma_deg: float = 0.3
     depth_range_m: tuple[float, float] | None = None
+    plate: Plate | None = None
 
 
 @dataclass(frozen=True)

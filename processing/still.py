@@ -17,6 +17,9 @@ from lfrig.processing.model import F32, F64, U8, Camera, LightField
 from lfrig.processing.patch import correlation, patch_window
 from lfrig.processing.poses.work import PoseWork
 
+Point = tuple[float, float]
+"""(x, y) px."""
+
 MAX_CORNERS = 250
 MIN_STILL = 8
 MIN_TURN_DEG = 5.0
@@ -37,43 +40,50 @@ On the tuning scenes nothing that turns comes above 0.02; a still wall over a fi
 
 @dataclass(frozen=True)
 class _Prepared:
-    """A grey picture uint8 [H, W] and its corners float32 [N, 2] px."""
+    """A grey picture uint8 [H, W], its corners float32 [N, 2] px, and the pixel that the optical axis meets."""
 
     grey: U8
     corners: F32
+    middle: Point
 
 
-def _prepared(picture: U8) -> _Prepared:
+def _prepared(picture: U8, middle: Point | None = None) -> _Prepared:
     import cv2
 
     grey = np.asarray(cv2.cvtColor(np.ascontiguousarray(picture), cv2.COLOR_RGB2GRAY), np.uint8)
     corners = cv2.goodFeaturesToTrack(grey, MAX_CORNERS, 0.01, 7, blockSize=5)
-    return _Prepared(grey, np.zeros((0, 2), np.float32) if corners is None else corners[:, 0])
+    own = (grey.shape[1] - 1) / 2, (grey.shape[0] - 1) / 2
+    return _Prepared(grey, np.zeros((0, 2), np.float32) if corners is None else corners[:, 0], middle or own)
 
 
-def still_share(first: U8, second: U8, zoom: float) -> float:
+def still_share(first: U8, second: U8, zoom: float, middles: tuple[Point, Point] | None = None) -> float:
     """Share of the corners of a picture that a second one, ``zoom`` times as large, shows in the same place.
+
+    ``middles`` are the pixels (x, y) that the optical axes meet, by default the pictures' own middles; the pictures may
+    be of different sizes.
 
     Corners are tracked from where they would be if nothing had turned (pyramidal Lucas–Kanade, there and back); those
     that agree on one similarity near that zoom stand still.
     """
-    return _share(_prepared(first), _prepared(second), zoom)
+    here, there = middles or (None, None)
+    return _share(_prepared(first, here), _prepared(second, there), zoom)
 
 
 def _share(a: _Prepared, b: _Prepared, zoom: float) -> float:
     start = a.corners
     if not len(start):
         return 0.0
-    middle_a, middle_b = (np.array([p.grey.shape[1] - 1, p.grey.shape[0] - 1], np.float32) / 2 for p in (a, b))
+    middle_a, middle_b = (np.array(p.middle, np.float32) for p in (a, b))
+    here, other = _of_one_size(a.grey, b.grey)
     expected = np.asarray((start - middle_a) * np.float32(zoom) + middle_b, np.float32)
-    found, there = _tracked(a, b, start, expected)
+    found, there = _tracked(here, other, start, expected)
     # Only what seems to stand still is asked for its way back.
     rows = np.flatnonzero(there & (np.hypot(*(found - expected).T) < REACH * a.grey.shape[1]))
     if len(rows) < MIN_STILL:
         return 0.0
-    returned, back = _tracked(b, a, found[rows], start[rows])
+    returned, back = _tracked(other, here, found[rows], start[rows])
     rows = rows[back & (np.hypot(*(returned - start[rows]).T) < 0.5)]
-    rows = rows[_correlation(a.grey, b.grey, start[rows], found[rows], zoom) > ALIKE]
+    rows = rows[_correlation(here, other, start[rows], found[rows], zoom) > ALIKE]
     return _agreeing(start[rows], found[rows], zoom) / len(start)
 
 
@@ -84,7 +94,7 @@ def warn_of_still_background(sources: Sequence[LightField], monitor: Monitor, wo
     shares = []
     for a, b in pairs:
         zoom = _focal(b.camera, b.width) / _focal(a.camera, a.width)
-        first, second = (work.once("still", (s.views,), lambda s=s: _prepared(s.centre_view)) for s in (a, b))  # type: ignore[misc]
+        first, second = (work.once("still", (s.views,), lambda s=s: _prepared(s.centre_view, _middle(s))) for s in (a, b))  # type: ignore[misc]
         share = work.once(
             f"still at {zoom:.6f}", (a.views, b.views), lambda one=first, two=second, z=zoom: _share(one, two, z)  # type: ignore[misc]
         )  # fmt: skip
@@ -108,17 +118,36 @@ def _should_turn(a: LightField, b: LightField) -> bool:
     return bool(abs((a.turntable_deg - b.turntable_deg + 180) % 360 - 180) >= MIN_TURN_DEG)
 
 
+def _middle(light_field: LightField) -> Point:
+    camera = light_field.camera
+    if camera is None:
+        return (light_field.width - 1) / 2, (light_field.height - 1) / 2
+    return camera.cx, camera.cy
+
+
+def _of_one_size(a: U8, b: U8) -> tuple[U8, U8]:
+    """Both pictures [H, W], the smaller one continued by its border: the tracker wants equal sizes."""
+    import cv2
+
+    height, width = (max(a.shape[axis], b.shape[axis]) for axis in (0, 1))
+    padded = (
+        cv2.copyMakeBorder(p, 0, height - p.shape[0], 0, width - p.shape[1], cv2.BORDER_REPLICATE) for p in (a, b)
+    )
+    one, other = (np.asarray(p, np.uint8) for p in padded)
+    return one, other
+
+
 def _focal(camera: Camera | None, width: int) -> float:
     return float(width) if camera is None else camera.focal_px
 
 
-def _tracked(a: _Prepared, b: _Prepared, points: F32, guess: F32) -> tuple[F32, np.ndarray]:
+def _tracked(a: U8, b: U8, points: F32, guess: F32) -> tuple[F32, np.ndarray]:
     import cv2
 
     if not len(points):
         return points, np.zeros(0, bool)
     moved, found, _ = cv2.calcOpticalFlowPyrLK(
-        a.grey, b.grey, points[:, None], guess[:, None].copy(), winSize=(WINDOW_PX, WINDOW_PX), maxLevel=LEVELS,
+        a, b, points[:, None], guess[:, None].copy(), winSize=(WINDOW_PX, WINDOW_PX), maxLevel=LEVELS,
         criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 0.03), flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
     )  # fmt: skip
     return np.asarray(moved[:, 0], np.float32), np.asarray(found[:, 0] > 0)

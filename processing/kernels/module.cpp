@@ -13,6 +13,7 @@ void register_plane_cost(nb::module_ &m);
 void register_plane_fit(nb::module_ &m);
 void register_rig_chain(nb::module_ &m);
 void register_sgm(nb::module_ &m);
+void register_sgm_u16(nb::module_ &m);
 void register_softmax(nb::module_ &m);
 void register_spline(nb::module_ &m);
 void register_unpack(nb::module_ &m);
@@ -30,6 +31,7 @@ NB_MODULE(_native, m) {
     register_plane_fit(m);
     register_rig_chain(m);
     register_sgm(m);
+    register_sgm_u16(m);
     register_softmax(m);
     register_spline(m);
     register_unpack(m);

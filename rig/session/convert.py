@@ -10,7 +10,7 @@ import numpy as np
 from lfrig.contracts.capture import CameraSpec, CaptureDocument, ExposureSpec, OpticsSpec, PoseSpec
 from lfrig.contracts.errors import BadInput
 from lfrig.contracts.session import RigSpec
-from lfrig.processing.model import U8, Camera, LightField, Optics, Pose, RigPrior
+from lfrig.processing.model import U8, Camera, LightField, Optics, Plate, Pose, RigPrior
 from lfrig.rig.session.rectify import Rectification, principal_point, rectification
 
 if TYPE_CHECKING:
@@ -52,7 +52,8 @@ def to_optics(spec: OpticsSpec | None) -> Optics:
 def to_rig_prior(rig: RigSpec) -> RigPrior:
     """What the rig knows; an unknown turntable sigma takes the default."""
     sigma = RigPrior().turntable_sigma_deg if rig.turntable_sigma_deg is None else rig.turntable_sigma_deg
-    return RigPrior(to_pose(rig.light_field_mount()), to_pose(rig.target_mount()), sigma, rig.depth_range_m)
+    plate = None if rig.plate is None else Plate(rig.plate.radius_m, rig.plate.height_m)
+    return RigPrior(to_pose(rig.light_field_mount()), to_pose(rig.target_mount()), sigma, rig.depth_range_m, plate)
 
 
 def to_light_field(

@@ -46,6 +46,14 @@ def test_the_share_that_stands_still(zoom: float) -> None:
     assert 0.25 < still_share(*pictures(0.5, zoom), zoom) < 0.6, "a longer lens shows less of it"
 
 
+def test_cropped_pictures_are_compared_about_their_optical_axes() -> None:
+    first, second = pictures(1.0, 1.15)
+    middle = (W - 1) / 2, (H - 1) / 2
+    cut = np.ascontiguousarray(second[30:, 60:])
+    moved = middle[0] - 60, middle[1] - 30
+    assert still_share(first, cut, 1.15, (middle, moved)) > 0.25 and still_share(first, cut, 1.15) < 0.02
+
+
 def test_a_focal_length_a_few_percent_off_hides_nothing() -> None:
     assert still_share(*pictures(0.5, 1.0), 1.03) > 0.2
 
