@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
@@ -38,9 +39,12 @@ def fine_detail(picture: U8) -> float:
 
 
 def warn_of_defocus(sources: Sequence[LightField], monitor: Monitor, work: PoseWork | None = None) -> None:
-    """Warn of captures that are softer than the others: out of focus, or moved while exposing; ``work`` remembers them."""
+    """Warn of captures that are softer than the others: out of focus, or moved while exposing.
+
+    ``work`` remembers how sharp they were.
+    """
     work = PoseWork() if work is None else work
-    detail = np.array([work.once("detail", (s.views,), lambda s=s: fine_detail(s.centre_view)) for s in sources])  # type: ignore[misc]
+    detail = np.array([work.once("detail", (s.views,), partial(fine_detail, s.centre_view)) for s in sources])
     for k, source in enumerate(sources):
         others = np.delete(detail, k)
         others = others[np.isfinite(others)]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import combinations
 
 import numpy as np
@@ -94,10 +95,10 @@ def warn_of_still_background(sources: Sequence[LightField], monitor: Monitor, wo
     shares = []
     for a, b in pairs:
         zoom = _focal(b.camera, b.width) / _focal(a.camera, a.width)
-        first, second = (work.once("still", (s.views,), lambda s=s: _prepared(s.centre_view, _middle(s))) for s in (a, b))  # type: ignore[misc]
-        share = work.once(
-            f"still at {zoom:.6f}", (a.views, b.views), lambda one=first, two=second, z=zoom: _share(one, two, z)  # type: ignore[misc]
-        )  # fmt: skip
+        here, there = (
+            work.once("still", (s.views, s.camera), partial(_prepared, s.centre_view, _middle(s))) for s in (a, b)
+        )
+        share = work.once(f"still at {zoom:.6f}", (here, there), partial(_share, here, there, zoom))
         shares.append((share, a.id, b.id))
         if sum(s <= STILL_SHARE for s, _, _ in shares) > len(pairs) // 2:
             return  # whatever the others say, the middle one of all does not stand still

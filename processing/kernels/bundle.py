@@ -69,8 +69,8 @@ class Reduced:
 
 
 def view_table(rotation: F64, translation: F64, focal: F64, principal: F64, line: F64) -> F64:
-    """Views as the kernels take them, float64 [V, 17]: R by rows, t, focal length, principal point, and ``line`` [V, 2],
-    baseline and inverse focus distance (0 where there is none).
+    """Views as the kernels take them, float64 [V, 17]: R by rows, t, focal length, principal point, and ``line``
+    [V, 2], baseline and inverse focus distance (0 where there is none).
     """
     return np.ascontiguousarray(np.c_[rotation.reshape(-1, 9), translation, focal, principal, line], np.float64)
 

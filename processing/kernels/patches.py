@@ -232,9 +232,9 @@ def follow_disparities_numpy(
 def _sampled(picture: F32, xy: F64, full: NDArray[np.floating], window: Window) -> F32:
     """Bilinear values of a picture [H, W, C] around points under affine maps [N, 2, 2], float32 [N, K, C]."""
     height, width = picture.shape[:2]
-    full, xy = full.astype(np.float32), xy.astype(np.float32)
-    x = xy[:, :1] + (full[:, 0, :1] * window.dx + full[:, 0, 1:] * window.dy)
-    y = xy[:, 1:] + (full[:, 1, :1] * window.dx + full[:, 1, 1:] * window.dy)
+    f, at = full.astype(np.float32), xy.astype(np.float32)
+    x = at[:, :1] + (f[:, 0, :1] * window.dx + f[:, 0, 1:] * window.dy)
+    y = at[:, 1:] + (f[:, 1, :1] * window.dx + f[:, 1, 1:] * window.dy)
     x, y = (np.clip(np.nan_to_num(c), 0, n - 1).astype(np.float32) for c, n in ((x, width), (y, height)))
     i, j = (np.clip(c.astype(np.int64), 0, max(n - 2, 0)) for c, n in ((x, width), (y, height)))
     fx, fy = (x - i).astype(np.float32)[..., None], (y - j).astype(np.float32)[..., None]

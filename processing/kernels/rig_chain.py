@@ -39,7 +39,8 @@ class Rig:
 
 
 def rig_chain(rig: Rig, x: F64) -> tuple[F64, F64]:
-    """Views float64 [V, 17] (see `view_table`) at parameters x, and how their local parameters move with x [V, 9, size].
+    """Views float64 [V, 17] (see `view_table`) at parameters x, and how their local parameters move with x, [V, 9,
+    size].
 
     C++ and NumPy differ by rounding.
     """
@@ -103,7 +104,7 @@ def skew(v: F64) -> F64:
 
 
 def _angles(vector: F64) -> tuple[F64, F64, F64]:
-    """For rotation vectors [..., 3]: sin(a)/a, (1 − cos a)/a² and (a − sin a)/a³ of their angles a, [..., 1, 1] each."""
+    """Of the angles a of rotation vectors [..., 3]: sin(a)/a, (1 − cos a)/a² and (a − sin a)/a³, [..., 1, 1] each."""
     angle = np.linalg.norm(vector, axis=-1)[..., None, None]
     # Series where the quotients lose their digits.
     small = angle < 1e-4

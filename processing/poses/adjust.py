@@ -139,7 +139,8 @@ def adjust(
     x, damping = start.copy(), 1e-4
     state = problem.at(x, points)
     rounds = 0
-    for rounds in range(1, max_iterations + 1):
+    while rounds < max_iterations:
+        rounds += 1
         step, point_step, length = state.solve(damping)
         trial = x.copy()
         trial[problem.free] += step

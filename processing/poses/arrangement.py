@@ -100,7 +100,10 @@ class Arrangement:
     def of_view(self, view: int) -> NDArray[np.intp]:
         """Indices of a view's own parameters [10]: turn, wobble, log focal, line."""
         wobble, line = self.wobble(view), self.log_lines.start + 2 * view
-        return np.r_[self.turns.start + view, wobble.start : wobble.stop, self.log_focals.start + view, line : line + 2]
+        return np.array(
+            [self.turns.start + view, *range(wobble.start, wobble.stop), self.log_focals.start + view, line, line + 1],
+            np.intp,
+        )
 
     def sigmas(self) -> F64:
         """Standard deviation of every parameter, float64 [size]; 0 = held."""

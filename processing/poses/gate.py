@@ -244,7 +244,9 @@ def warn_of_unconfirmed(
 
 
 def unlinked(structure: Structure, part: float = 1.0) -> list[int]:
-    """Views that `MIN_LINK` common points (or that ``part`` of them) do not tie to the first one, through whatever chain."""
+    """Views that `MIN_LINK` common points, or that ``part`` of them, do not tie to the first one, through whatever
+    chain.
+    """
     views = len(structure.arrangement.views)
     linked = common_points(structure) >= part * MIN_LINK
     reached = np.eye(1, views, dtype=bool)[0]

@@ -10,7 +10,8 @@ import numpy as np
 from lfrig.contracts.progress import Monitor, Muted
 from lfrig.processing.geometry import rotation_angle_deg, world_points
 from lfrig.processing.model import Pose
-from lfrig.processing.poses.guide import disparity_around
+from lfrig.processing.poses.confirm import is_photo_tied
+from lfrig.processing.poses.guide import Guide, disparity_around
 from lfrig.processing.poses.join_photo import join_located
 from lfrig.processing.poses.light_fields import first_pass
 from lfrig.processing.poses.matching import Gallery
@@ -35,16 +36,28 @@ def with_located_photo(
 ) -> Solved | None:
     """The photo joined to solved sources. Features of half-size pictures come first; they place it to a pixel, and the
     corners see to the rest.
+
+    A place that nothing near confirms is left for a better one; where there is none, that in which most corners are
+    found is handed on, to be refused by name.
     """
     poses = alone.structure.poses
+    guide = Guide(task.sources, task.evidence, task.depth_range_m, True)
+    best: tuple[Solved, Muted] | None = None
     for features, views in ((task.quick_features, _spread(poses)), (task.features, range(len(poses)))):
         candidates = _ranked(task, alone.structure, features(tuple(views)), known, monitor)
         for joined, held in candidates[:MAX_TRIED]:
             solved = finished(task, joined, sigma_deg, {**alone.followed.by_pair, **task.work.followed(task.sources)})
-            if solved is not None:
+            if solved is None:
+                continue
+            if is_photo_tied(solved.structure, task.sources, task.evidence, task.target, guide):
                 held.release()
                 return solved
-    return None
+            if best is None or solved.followed.total > best[0].followed.total:
+                best = solved, held
+    if best is None:
+        return None
+    best[1].release()
+    return best[0]
 
 
 def _spread(poses: Sequence[Pose]) -> list[int]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from types import MappingProxyType
 
 import numpy as np
@@ -39,10 +40,10 @@ def look_at(
     """Prepare all pictures, corners and disparities; what ``work`` knows of a capture is not made again."""
     pictures, reliefs = [], []
     for source, seen in zip(sources, evidence, strict=True):
-        pictures.append(work.once("picture", (source.views,), lambda s=source: picture_of(s.centre_view)))
-        reliefs.append(work.once("relief", (source.views, seen), lambda s=source, e=seen: relief_of(s, e)))
+        pictures.append(work.once("picture", (source.views,), partial(picture_of, source.centre_view)))
+        reliefs.append(work.once("relief", (source.views, seen), partial(relief_of, source, seen)))
         monitor.advance()
-    pictures.append(work.once("picture", (target.image,), lambda: picture_of(target.image8)))
+    pictures.append(work.once("picture", (target.image,), partial(picture_of, target.image8)))
     return Looks(tuple(pictures), tuple(reliefs))
 
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import contextlib
-import functools
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import cache, partial
 
 import numpy as np
 
@@ -31,7 +31,6 @@ from lfrig.processing.poses.with_prior import solve_with_prior
 from lfrig.processing.poses.without_prior import solve_without_prior
 from lfrig.processing.poses.work import PoseWork
 from lfrig.processing.skipping import SKIP_ALL, Skips, Tally
-
 
 QUICK_SIZE = 0.5
 """Pictures of this size are enough to find out roughly where a photo was taken, at a quarter of the cost."""
@@ -105,13 +104,13 @@ def _lazy_features(
 ) -> FindFeatures:
     """SIFT features of views at a fraction of their size, the photo's last, found when first asked for."""
 
-    @functools.cache
+    @cache
     def found(wanted: tuple[int, ...]) -> Gallery:
         features = []
         for v, picture in enumerate((*(s.centre_view for s in sources), target.image8)):
             held = sources[v].views if v < len(sources) else target.image
             if v in wanted or v == len(sources):
-                one = work.once(f"features at {size:g}", (held,), lambda p=picture: extract_features(p, size=size))
+                one = work.once(f"features at {size:g}", (held,), partial(extract_features, picture, size=size))
                 monitor.advance(0)
             else:
                 one = no_features()

@@ -18,7 +18,6 @@ from lfrig.processing.poses.structure import Structure
 from lfrig.processing.poses.tracks import Observations
 from lfrig.processing.poses.work import PoseWork
 
-
 SURE_NOISE_PX = 0.1
 """Aligned patches of a right geometry agree to 0.04–0.08 px; above this another start is tried as well."""
 

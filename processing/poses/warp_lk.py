@@ -27,7 +27,8 @@ MAX_SHIFT_PX = 4.0
 AREA_BOUNDS = (0.25, 4.0)
 MAX_STRETCH = 2.5
 HOLDS_PX, HOLDS_SHARE, HOLDS_POINTS = 0.3, 0.9, 50
-"""Predictions (of so many corners) of which this share moves less than this lead the alignment, whose start they are, to the same places."""
+"""Predictions (of so many corners) of which this share moves less than this lead the alignment, whose start they
+are, to the same places."""
 
 FLOW_WINDOW_PX = 17
 FLOW_LEVELS = 2
@@ -155,11 +156,11 @@ class Warp:
         # Pixels of the half-size pictures as pixels of the full ones, and back.
         up, down = here.to_full, np.linalg.inv(there.to_full)
         matrix, offset = self._projection()
-        matrix, offset = (m.astype(np.float32) for m in (down @ matrix @ up, down @ offset))
+        m, t = (part.astype(np.float32) for part in (down @ matrix @ up, down @ offset))
         x, y = np.arange(width, dtype=np.float32)[None], np.arange(height, dtype=np.float32)[:, None]
-        z = np.maximum(matrix[2, 0] * x + matrix[2, 1] * y + matrix[2, 2] + offset[2] * inverse, np.float32(1e-3))
-        u = (matrix[0, 0] * x + matrix[0, 1] * y + matrix[0, 2] + offset[0] * inverse) / z
-        v = (matrix[1, 0] * x + matrix[1, 1] * y + matrix[1, 2] + offset[1] * inverse) / z
+        z = np.maximum(m[2, 0] * x + m[2, 1] * y + m[2, 2] + t[2] * inverse, np.float32(1e-3))
+        u = (m[0, 0] * x + m[0, 1] * y + m[0, 2] + t[0] * inverse) / z
+        v = (m[1, 0] * x + m[1, 1] * y + m[1, 2] + t[1] * inverse) / z
         return u, v
 
     def points(self, ground: Ground) -> tuple[F64, F64, F64]:

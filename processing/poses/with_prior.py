@@ -16,8 +16,8 @@ from lfrig.processing.poses.join_photo import join_located, locate, refuse_or_do
 from lfrig.processing.poses.matching import Gallery, Matches
 from lfrig.processing.poses.priors import (
     PhotoPrior,
-    depth_limits,
     centred_arrangement,
+    depth_limits,
     neighbours,
     photo_prior,
     prior_band_px,

@@ -203,7 +203,9 @@ def test_disparities(monkeypatch: pytest.MonkeyPatch, n: int, threads: int) -> N
     offsets = np.array([(-4.0, -4), (0, 4), (4, 0), (3, -3)])
     # A surface of disparity 0.3: a view at (ox, oy) shows at p − o δ what the centre view has at p.
     moved = [
-        cv2.warpAffine(grey, np.float32([[1, 0, -0.3 * ox], [0, 1, -0.3 * oy]]), (65, 47), borderMode=cv2.BORDER_REFLECT)
+        cv2.warpAffine(
+            grey, np.float32([[1, 0, -0.3 * ox], [0, 1, -0.3 * oy]]), (65, 47), borderMode=cv2.BORDER_REFLECT
+        )
         for ox, oy in offsets
     ]
     window, xy = square(4), np.round(rng.uniform([-2, -2], [66, 48], (n, 2)))
