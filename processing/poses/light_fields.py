@@ -7,7 +7,7 @@ land within a pixel of where they are predicted. Each capture's scale (1/z = a Î
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
@@ -169,17 +169,25 @@ def widest_link_deg(poses: Sequence[Pose]) -> float:
 
 
 def first_pass(
-    looks: Looks, arrangement: Arrangement, x: F64, depth_range_m: tuple[float, float], effort: Effort
+    looks: Looks,
+    arrangement: Arrangement,
+    x: F64,
+    depth_range_m: tuple[float, float],
+    effort: Effort,
+    placed: Collection[int] = (),
+    known: Known = NOTHING_KNOWN,
 ) -> Structure | None:
     """Follow by flow into the neighbours and solve; None where steps are too wide for it, optics unknown, or
-    hardly a corner of some view is found.
+    hardly a corner of some view is found. Views that are ``placed`` need no flow among each other, and ``known`` are
+    pairs that were followed already.
     """
     poses = arrangement.poses(x)
     widest = widest_link_deg(poses)
     if widest > MAX_FLOW_STEP_DEG or any(arrangement.views[v].line is None for v in range(len(looks.reliefs))):
         return None
     pairs = directed_pairs(poses, len(looks.reliefs), 1.05 * widest)
-    followed = follow_all(looks, arrangement, x, pairs, depth_range_m, flow=pairs, limit=FLOW_CORNERS)
+    flow = [(j, i) for j, i in pairs if not (i in placed and j in placed)]
+    followed = follow_all(looks, arrangement, x, pairs, depth_range_m, flow=flow, limit=FLOW_CORNERS, known=known)
     if followed.seen.count < ENOUGH_POINTS:
         return None
     solved = adjust_light_fields(arrangement, x, followed.seen, depth_range_m, FLOW_SCHEDULE, effort)

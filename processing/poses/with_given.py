@@ -38,9 +38,9 @@ def _by_corners(task: Task, monitor: Monitor) -> Solved | None:
     known = photo_prior(task.target, task.prior, origin)
     if known is not None:
         whole = with_photo(arrangement, task.target, known)
-        solved = finished(task, bare(whole, task.work.start(whole, task.sources)), None)
+        solved = finished(task, bare(whole, task.work.start(whole, task.sources)[0]), None)
     else:
-        alone = placed(task, bare(arrangement, task.work.start(arrangement, task.sources)), None)
+        alone = placed(task, bare(arrangement, task.work.start(arrangement, task.sources)[0]), None)
         solved = None if alone is None else with_located_photo(task, alone, None, None, monitor)
     if solved is None:
         return None

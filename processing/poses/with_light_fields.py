@@ -131,11 +131,16 @@ def _from_before(
     task: Task, arrangement: Arrangement, solve: Callable[[Task, Structure, float | None], Solved | None]
 ) -> Solved | None:
     """Solved from where an earlier solution left the sources; None where there is none, or it does not pass the gate.
-
-    What is not where it is expected, the photo or a new source, is followed by flow (`second_pass`).
+    Only what is new, the photo or a source, is followed by flow.
     """
-    x = task.work.start(arrangement, task.sources)
-    return None if x is None else solve(task, bare(arrangement, x), task.prior.turntable_sigma_deg)
+    x, placed_views = task.work.start(arrangement, task.sources)
+    if not placed_views:
+        return None
+    start: Structure | None = bare(arrangement, x)
+    if len(placed_views) < len(arrangement.views):
+        known = task.work.followed(task.sources)
+        start = first_pass(task.looks, arrangement, x, task.rough_range_m, task.effort, placed_views, known)
+    return solve(task, start, task.prior.turntable_sigma_deg)
 
 
 def _starts(whole: Arrangement) -> Iterator[F64]:

@@ -86,19 +86,18 @@ class PoseWork:
             kept = (x[6 * mount : 6 * mount + 6].copy(), x[arrangement.of_view(v)].copy())
             self.keep("solved", (source,), kept)
 
-    def start(self, arrangement: Arrangement, sources: Sequence[LightField]) -> F64 | None:
+    def start(self, arrangement: Arrangement, sources: Sequence[LightField]) -> tuple[F64, list[int]]:
         """Parameters to start from: those of an earlier solution for the sources that took part in it, the priors for
-        the others; None when none did.
+        the others; and which those sources are.
         """
-        known = [cast("tuple[F64, F64] | None", self.recall("solved", (source,))) for source in sources]
-        if all(k is None for k in known):
-            return None
-        x = np.zeros(arrangement.size)
-        for v, kept in enumerate(known):
+        x, placed = np.zeros(arrangement.size), []
+        for v, source in enumerate(sources):
+            kept = cast("tuple[F64, F64] | None", self.recall("solved", (source,)))
             if kept is not None:
                 mount = arrangement.views[v].mount
                 x[6 * mount : 6 * mount + 6], x[arrangement.of_view(v)] = kept
-        return x
+                placed.append(v)
+        return x, placed
 
 
 def _key(what: str, made_from: Sequence[object]) -> tuple[Any, ...]:
