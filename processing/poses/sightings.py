@@ -11,14 +11,13 @@ import numpy as np
 
 from lfrig.contracts.progress import Monitor
 from lfrig.processing.geometry import rotation_angle_deg
-from lfrig.processing.kernels.patches import with_slopes
-from lfrig.processing.model import F32, F64, U8, Evidence, LightField, Photo, Pose
+from lfrig.processing.model import F32, F64, Evidence, LightField, Photo, Pose
 from lfrig.processing.poses.arrangement import Arrangement
-from lfrig.processing.poses.corners import grey_of, light_field_corners
-from lfrig.processing.poses.patches import normalised
+from lfrig.processing.poses.corners import light_field_corners
+from lfrig.processing.poses.picture import Picture, picture_of
 from lfrig.processing.poses.structure import FINE_SCALE_PX
 from lfrig.processing.poses.tracks import Observations, Pair
-from lfrig.processing.poses.warp_lk import Picture, Relief, Sighted, Station, Warp, follow
+from lfrig.processing.poses.warp_lk import Relief, Sighted, Station, Warp, follow
 from lfrig.processing.poses.work import PoseWork
 
 SMOOTH_SIGMA_PX = 1.5
@@ -50,12 +49,6 @@ def look_at(
 def relief_of(source: LightField, evidence: Evidence) -> Relief:
     """Corners and surface of one light field."""
     return Relief(light_field_corners(source, evidence), smoothed(evidence.disparity))
-
-
-def picture_of(image: U8) -> Picture:
-    """One view, prepared for alignment and flow."""
-    grey = grey_of(image)
-    return Picture(with_slopes(grey), normalised(grey))
 
 
 def smoothed(disparity: F32) -> F32:

@@ -17,6 +17,7 @@ from lfrig.processing.geometry import projection
 from lfrig.processing.model import F32, F64, Camera, Pose, ScaleFit
 from lfrig.processing.poses.corners import Corners
 from lfrig.processing.poses.patches import align, sample_points
+from lfrig.processing.poses.picture import Picture, Small
 
 SLOPE_STEP_PX = 3.0
 MARGIN_PX = 12.0
@@ -35,53 +36,6 @@ FLOW_LEVELS = 2
 WAY_BACK_PX = 1.5
 MIN_RESPONSE = 0.03
 MAX_COMMON_SHIFT = 0.15
-
-
-@dataclass(frozen=True)
-class Picture:
-    """One view: ``detail`` float32 [H, W, 4], grey and its slopes (`with_slopes`), and ``even`` uint8 [H, W], the same
-    locally normalised.
-    """
-
-    detail: F32
-    even: NDArray[np.uint8]
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """(height, width) [px]."""
-        return self.even.shape[0], self.even.shape[1]
-
-    @cached_property
-    def small(self) -> Small:
-        """At half size."""
-        import cv2
-
-        height, width = self.shape
-        size = max(1, width // 2), max(1, height // 2)
-        even = cv2.resize(self.even, size, interpolation=cv2.INTER_AREA)
-        return Small(np.asarray(even, np.uint8), (width / size[0], height / size[1]))
-
-
-@dataclass(frozen=True)
-class Small:
-    """A picture at half size: ``even`` uint8 [h, w], and the size of its pixels in those of the full one."""
-
-    even: NDArray[np.uint8]
-    pixel: tuple[float, float]
-
-    @property
-    def to_full(self) -> F64:
-        """[3, 3]: homogeneous pixels of this picture as pixels of the full one."""
-        x, y = self.pixel
-        return np.array([[x, 0, (x - 1) / 2], [0, y, (y - 1) / 2], [0, 0, 1]])
-
-    def full(self, xy: F64) -> F64:
-        """Points [N, 2] of this picture in the full one."""
-        return np.asarray((xy + 0.5) * self.pixel - 0.5, np.float64)
-
-    def from_full(self, xy: F64) -> F64:
-        """The reverse of `full`."""
-        return np.asarray((xy + 0.5) / self.pixel - 0.5, np.float64)
 
 
 @dataclass(frozen=True)
