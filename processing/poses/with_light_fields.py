@@ -128,7 +128,7 @@ def _by_light_fields(task: Task, arrangement: Arrangement, monitor: Monitor) -> 
 
 
 def _from_before(
-    task: Task, arrangement: Arrangement, solve: Callable[[Task, Structure, float | None], Solved | None]
+    task: Task, arrangement: Arrangement, solve: Callable[[Task, Structure | None, float | None], Solved | None]
 ) -> Solved | None:
     """Solved from where an earlier solution left the sources; None where there is none, or it does not pass the gate.
     Only what is new, the photo or a source, is followed by flow.
