@@ -21,7 +21,7 @@ from lfrig.processing.poses.work import PoseWork
 Point = tuple[float, float]
 """(x, y) px."""
 
-MAX_CORNERS = 250
+MAX_CORNERS = 500
 MIN_STILL = 8
 MIN_TURN_DEG = 5.0
 REACH = 0.04
