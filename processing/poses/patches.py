@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +44,7 @@ def sample_points(picture: F32, xy: F64) -> F32:
     return sample(picture, xy[:, :1], xy[:, 1:])[:, 0]
 
 
+@cache
 def square(half: int) -> Window:
     """A patch of (2 half + 1)² pixels with Gaussian weights."""
     g = np.arange(-half, half + 1, dtype=np.float32)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -49,7 +50,8 @@ def with_located_photo(
             solved = finished(task, joined, sigma_deg, {**alone.followed.by_pair, **task.work.followed(task.sources)})
             if solved is None:
                 continue
-            if is_photo_tied(solved.structure, task.sources, task.evidence, task.target, guide):
+            asked = partial(is_photo_tied, solved.structure, task.sources, task.evidence, task.target, guide)
+            if task.work.once("tied", (solved.structure,), asked):
                 held.release()
                 return solved
             if best is None or solved.followed.total > best[0].followed.total:

@@ -93,7 +93,8 @@ def solve_poses(
         known = photo_prior(target, prior)
         if kind != "colmap" and (known is None or not is_near(structure.poses[-1], known)):
             guide = Guide(sources, evidence, depth_limits(sources, prior), True)
-            if not is_photo_tied(structure, sources, evidence, target, guide):
+            asked = partial(is_photo_tied, structure, sources, evidence, target, guide)
+            if not memory.once("tied", (structure,), asked):
                 refuse_untied_photo(confirmation(structure, sources, evidence, target, guide), target.id)
         monitor.advance()
         return _solution(kind, structure, sources, evidence, target, monitor)
