@@ -7,6 +7,7 @@ carried by the light fields' own depth and counted for near and far separately, 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NoReturn
 
 from lfrig.contracts.errors import GeometryRefused
 from lfrig.processing.agreement import Agreement, measure_agreement
@@ -65,8 +66,22 @@ def refuse_untied(confirmed: Agreement | None, names: Sequence[str], photo: str)
         refuse_untied_photo(confirmed, photo)
     most = max(groups, key=len)
     alone = ", ".join(names[v] for group in groups if group is not most for v in group if v < len(names))
+    _refuse_captures(alone or ", ".join(names))
+
+
+def refuse_untied_corrections(confirmed: Agreement | None, corrected: Sequence[int], names: Sequence[str]) -> None:
+    """Refuse poses by which a capture whose angle was corrected is tied to no other picture, near and far alike
+    (``capture-disagrees``).
+    """
+    groups = confirmed.tied_groups() if confirmed else []
+    alone = [names[v] for v in corrected if [v] in groups]
+    if alone:
+        _refuse_captures(", ".join(alone))
+
+
+def _refuse_captures(named: str) -> NoReturn:
     raise GeometryRefused(
-        f"captures {alone or ', '.join(names)}: nothing near is where the poses put it in the other captures",
+        f"captures {named}: nothing near is where the poses put it in the other captures",
         code="capture-disagrees",
         remedy="check turntable_deg of all captures (a backdrop that repeats fits at wrong angles too) and that "
         "nothing on the plate moved, or leave the named ones out with --sources",

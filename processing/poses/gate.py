@@ -220,6 +220,14 @@ def doubts(
     return found or unlinked(structure, part)
 
 
+def corrected(structure: Structure) -> list[int]:
+    """Views whose solved turntable angle contradicts the recorded one."""
+    arrangement = structure.arrangement
+    turns = np.abs(np.rad2deg(structure.parameters[arrangement.turns]))
+    sigmas = [view.sigma_angle_deg for view in arrangement.views]
+    return [v for v, sigma in enumerate(sigmas) if sigma > 0 and turns[v] > ANGLE_SIGMAS * sigma]
+
+
 def refuse_direction() -> None:
     """Refuse angles that count the wrong way."""
     raise GeometryRefused(

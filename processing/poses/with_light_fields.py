@@ -12,7 +12,7 @@ from lfrig.contracts.progress import Monitor, Muted
 from lfrig.processing.model import F64, ScaleFit
 from lfrig.processing.poses import gate
 from lfrig.processing.poses.arrangement import Arrangement, Line
-from lfrig.processing.poses.confirm import confirmation, refuse_untied
+from lfrig.processing.poses.confirm import confirmation, refuse_untied, refuse_untied_corrections
 from lfrig.processing.poses.guide import Guide
 from lfrig.processing.poses.light_fields import (
     disparity_residual,
@@ -194,6 +194,11 @@ def _polished(task: Task, lines: Sequence[Line | None], first: Structure, monito
         refuse_untied(confirmation(first, task.sources, task.evidence, task.target, guide), task.names, task.target.id)
         gate.warn_of_unconfirmed(doubted, followed.fractions(), task.names, task.target.id, monitor)
         return "colmap-turntable", Solved(first, followed)
+    corrected = [v for v in gate.corrected(solved) if v < len(task.sources)]
+    if corrected:
+        # That the turntable was wrong is a claim which matches of a pattern that repeats support as well.
+        confirmed = confirmation(solved, task.sources, task.evidence, task.target, guide)
+        refuse_untied_corrections(confirmed, corrected, task.names)
     return "lf", Solved(solved, followed)
 
 
