@@ -12,6 +12,7 @@ void register_plane_fit(nb::module_ &m);
 void register_sgm(nb::module_ &m);
 void register_softmax(nb::module_ &m);
 void register_spline(nb::module_ &m);
+void register_stream(nb::module_ &m);
 void register_unpack(nb::module_ &m);
 void register_warp(nb::module_ &m);
 
@@ -26,6 +27,7 @@ NB_MODULE(_native, m) {
     register_sgm(m);
     register_softmax(m);
     register_spline(m);
+    register_stream(m);
     register_unpack(m);
     register_warp(m);
 }
