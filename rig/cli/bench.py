@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from lfrig.contracts.bench import BenchDocument
 
 WITH_SCENES = ("accuracy", "poses")
-LATER = ("skip", "kernels", "rig", "models", "ablation")
+LATER = ("rig", "models", "ablation")
 
 
 def register(app: typer.Typer) -> None:
@@ -28,7 +28,8 @@ def register(app: typer.Typer) -> None:
 def bench(
     context: typer.Context,
     name: Annotated[
-        str, typer.Argument(metavar="accuracy|pareto|stress|decode|poses|regression", help="Which benchmark.")
+        str,
+        typer.Argument(metavar="accuracy|pareto|stress|decode|poses|kernels|skip|regression", help="Which benchmark."),
     ],
     out: Annotated[Path, typer.Option(help="Folder for the JSON, the Markdown and the plots.")] = Path("out/bench"),
     size: Annotated[
