@@ -39,7 +39,8 @@ from lfrig.contracts.progress import Monitor, Muted
 from lfrig.contracts.score import LightFieldScore
 from lfrig.processing.metrics import inner_region, reliability, sparsification
 from lfrig.processing.model import F32, Evidence
-from lfrig.processing.pipeline import ProcessOptions, ProcessResult, process
+from lfrig.processing.options import ProcessOptions
+from lfrig.processing.pipeline import ProcessResult, process
 from lfrig.rig.candidate import Candidate, score_candidate
 
 WORST_PICTURE = "accuracy-worst.png"

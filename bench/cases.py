@@ -20,7 +20,7 @@ from lfrig.sim.scenes import REPORTING, TUNING
 from lfrig.sim.shoot import shoot
 
 if TYPE_CHECKING:
-    from lfrig.processing.pipeline import ProcessOptions
+    from lfrig.processing.options import ProcessOptions
 
 FULL, MEDIUM, SMALL = (541, 376), (270, 188), (135, 94)
 
@@ -58,7 +58,7 @@ class Case:
 
     def options(self, **changes: object) -> ProcessOptions:
         """Options that ask for the light field of the truth, with ``changes``."""
-        from lfrig.processing.pipeline import ProcessOptions
+        from lfrig.processing.options import ProcessOptions
 
         wanted = self.request
         options = ProcessOptions(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from lfrig.processing.pipeline import Settings
+from lfrig.processing.options import Settings
 
 
 @dataclass(frozen=True)

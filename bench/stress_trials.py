@@ -14,7 +14,8 @@ from lfrig.bench.stress_inputs import exact_anchors, one_plane, rigid, transform
 from lfrig.contracts.errors import BadInput
 from lfrig.contracts.progress import Monitor, Muted
 from lfrig.processing.model import F32, Evidence, Optics, Photo, Pose
-from lfrig.processing.pipeline import ProcessOptions, ProcessResult, process
+from lfrig.processing.options import ProcessOptions
+from lfrig.processing.pipeline import ProcessResult, process
 from lfrig.processing.scale_fit import ScaleFitSettings, fit_scale
 
 if TYPE_CHECKING:

@@ -24,7 +24,8 @@ from lfrig.contracts.progress import Monitor
 from lfrig.contracts.score import LightFieldScore
 from lfrig.processing.dpv import DpvSettings
 from lfrig.processing.model import Evidence
-from lfrig.processing.pipeline import Settings, process
+from lfrig.processing.options import Settings
+from lfrig.processing.pipeline import process
 from lfrig.rig.candidate import Candidate, score_candidate
 
 SIZES = {"full": FULL, "medium": MEDIUM, "small": SMALL}

@@ -104,12 +104,13 @@ def atomic_write_text(path: Path, text: str) -> None:
 
 
 @contextlib.contextmanager
-def atomic_folder(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
+def atomic_folder(path: Path, *, overwrite: bool = False, sync: bool = True) -> Iterator[Path]:
     """Build a folder aside and move it into place only when the block succeeds.
 
     Yields the temporary folder to fill. When the block raises, it is removed with the parents that were made
     for it, and whatever was at ``path`` stays. A process killed between the two renames of an overwrite leaves
     the old folder under a hidden name; the next `atomic_folder` of the same path puts it back first.
+    ``sync=False`` does not wait for the disk: for what can be made again and is checked when it is read.
 
     Raises
     ------
@@ -129,7 +130,8 @@ def atomic_folder(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
         with disk_errors(path):
             temporary.mkdir(parents=True)
             yield temporary
-            _sync_tree(temporary)
+            if sync:
+                _sync_tree(temporary)
             refuse_existing(path, overwrite=overwrite)  # it may have appeared meanwhile
             _swap(temporary, path)
     finally:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from lfrig.processing.model import Image, LightField, Photo
+from lfrig.processing.model import F32, Image, LightField, Photo, Surface
 
 
 def scale_light_field(light_field: LightField, factor: float) -> LightField:
@@ -27,6 +27,21 @@ def scale_photo(photo: Photo, factor: float) -> Photo:
     size = _size(width, height, factor)
     camera = photo.camera.resized(*size) if photo.camera else None
     return replace(photo, image=_shrink(photo.image, size), camera=camera)
+
+
+def scale_surface(surface: Surface, width: int, height: int) -> Surface:
+    """The surface resampled to another size of the same picture, float32 [height, width] each."""
+    import cv2
+
+    def resized(a: F32, mode: int) -> F32:
+        return np.asarray(cv2.resize(a, (width, height), interpolation=mode))
+
+    return Surface(
+        inverse_depth=resized(surface.inverse_depth, cv2.INTER_LINEAR),
+        confidence=resized(surface.confidence, cv2.INTER_LINEAR),
+        sigma=resized(surface.sigma, cv2.INTER_LINEAR),
+        seen=resized(surface.seen, cv2.INTER_NEAREST),
+    )
 
 
 def _size(width: int, height: int, factor: float) -> tuple[int, int]:

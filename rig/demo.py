@@ -16,7 +16,7 @@ from lfrig.contracts.result import ReportDocument
 from lfrig.contracts.score import ScoreDocument
 
 if TYPE_CHECKING:
-    from lfrig.processing.pipeline import ProcessOptions
+    from lfrig.processing.options import ProcessOptions
     from lfrig.rig.session.store import SessionStore
 
 SESSION = "session"
@@ -118,7 +118,7 @@ def run_demo(
 def _request(truth: Path, threads: int) -> ProcessOptions:
     """Ask for the light field that the simulator can show: only then are its views comparable."""
     from lfrig.contracts.truth import TruthDocument
-    from lfrig.processing.pipeline import ProcessOptions
+    from lfrig.processing.options import ProcessOptions
 
     captures = TruthDocument.load(truth / "truth.json").captures.values()
     [optics] = [capture.optics for capture in captures if capture.kind == "photo"]

@@ -22,7 +22,7 @@ from lfrig.contracts.score import ScoreDocument
 from lfrig.processing.depth import DepthMap, estimate_disparity
 from lfrig.processing.export.result import LoadedResult, load_result
 from lfrig.processing.model import LightField, LightFieldRequest
-from lfrig.processing.pipeline import ProcessOptions
+from lfrig.processing.options import ProcessOptions
 from lfrig.processing.scale_fit import fit_affine
 from lfrig.rig.candidate import Candidate, score_candidate
 from lfrig.rig.process import OnlyNotices, process_session
@@ -150,7 +150,7 @@ def _true_candidate(
 ) -> Candidate:
     """The result as a light field of the left-out one's true optics: the recorded ones have errors of their own."""
     if not result.report.target.metric or truth.baseline_m is None or truth.focus_distance_m is None:
-        own = estimate_disparity(left_out, None, options.settings.dpv, threads=options.threads, monitor=monitor)
+        own = estimate_disparity(left_out, None, options.knobs.dpv, threads=options.threads, monitor=monitor)
         request = fitted_request(own, result, result.request, result.report.target.fx)
     else:
         request = replace(result.request, baseline_m=truth.baseline_m, focus_distance_m=truth.focus_distance_m)
@@ -164,7 +164,7 @@ def own_truth(
 
     Recorded optics are trusted when they claim to be exact; otherwise they are fitted between the two geometries.
     """
-    own = estimate_disparity(left_out, None, options.settings.dpv, threads=options.threads, monitor=monitor)
+    own = estimate_disparity(left_out, None, options.knobs.dpv, threads=options.threads, monitor=monitor)
     request, focal_px, optics = result.request, result.report.target.fx, left_out.optics
     exact = optics.sigma_baseline == 0 and optics.baseline_m is not None and optics.focus_distance_m is not None
     if not exact:

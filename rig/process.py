@@ -14,7 +14,10 @@ from lfrig.contracts.files import atomic_folder, refuse_existing, refuse_replaci
 from lfrig.contracts.progress import Monitor, Notice
 from lfrig.contracts.result import ReportDocument
 from lfrig.processing.model import LightField, Photo, RigPrior
-from lfrig.processing.pipeline import ProcessOptions, check_options, process
+from lfrig.processing.options import ProcessOptions, check_options
+from lfrig.processing.pipeline import process
+from lfrig.rig.session.decoded import CACHE
+from lfrig.rig.session.evidence_cache import EvidenceCache, Pending
 from lfrig.rig.session.store import SessionStore
 
 DEFAULT_SOURCES = 4
@@ -138,11 +141,13 @@ def process_session(
     monitor = OwnNotices(monitor or Monitor())
     store, selection, folder = check_session(session, target, sources, options, out, overwrite)
     inputs = load_inputs(store, selection, options, monitor)
+    found = Pending(EvidenceCache(store.path / CACHE / "evidence", monitor))
     with atomic_folder(folder, overwrite=overwrite) as temporary:
-        result = process(inputs.sources, inputs.target, inputs.prior, inputs.options, monitor)
+        result = process(inputs.sources, inputs.target, inputs.prior, inputs.options, monitor, store=found)
         with monitor.task("write"):
             write_result(temporary, result, session=store.path.name)
             write_report(temporary, result, ReportDocument.load(temporary / "report.json"))
+    found.write()
     return folder
 
 

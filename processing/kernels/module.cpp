@@ -10,6 +10,7 @@ void register_lenslet(nb::module_ &m);
 void register_plane_cost(nb::module_ &m);
 void register_plane_fit(nb::module_ &m);
 void register_sgm(nb::module_ &m);
+void register_sgm_u16(nb::module_ &m);
 void register_softmax(nb::module_ &m);
 void register_spline(nb::module_ &m);
 void register_stream(nb::module_ &m);
@@ -25,6 +26,7 @@ NB_MODULE(_native, m) {
     register_plane_cost(m);
     register_plane_fit(m);
     register_sgm(m);
+    register_sgm_u16(m);
     register_softmax(m);
     register_spline(m);
     register_stream(m);

@@ -8,6 +8,8 @@ Taniai & Sinha, 3DV 2017). C++ form: ``sgm.cpp``.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,6 +18,15 @@ from lfrig.contracts.progress import Monitor
 from lfrig.processing.model import F32, U8
 
 I16 = NDArray[np.int16]
+U16 = NDArray[np.uint16]
+Mask = NDArray[np.bool_]
+
+SPAN_TILE = 8
+"""Pixels; one range of active labels for each tile of so many by so many."""
+PATH_LIMIT = 8191
+"""What the cost of one path may reach in fixed point: eight of them fit 16 bits."""
+INACTIVE = 65535
+"""The aggregated cost of a label outside its tile's span."""
 
 
 def edge_penalties(guide: U8, p1: float, p2: float, edge_grey: float) -> F32:
@@ -88,29 +99,46 @@ def aggregate_numpy(
     cost: F32, penalties: F32, p1: float, shift: I16 | None = None, monitor: Monitor | None = None
 ) -> F32:
     """NumPy twin; ``penalties`` from `edge_penalties`."""
-    total = np.zeros_like(cost)
-    held = np.zeros(penalties.shape, np.int64)
-    if shift is not None:
-        held = np.clip(shift.astype(np.int64), -cost.shape[2] - 1, cost.shape[2] + 1)
-    right, down, diagonal, anti = zip(penalties, held, strict=True)
-    # A path is a sweep over lines; flipping and transposing views turns all eight into three kinds of sweep.
-    flip = (slice(None, None, -1), slice(None, None, -1))
-    sweeps = [(cost, total, down, diagonal, anti)]
-    sweeps.append((cost[flip], total[flip], _towards(down, 1, 0), _towards(diagonal, 1, 1), _towards(anti, 1, -1)))
-    for c, s, s_down, s_diagonal, s_anti in sweeps:
-        _sweep(c, s, s_down, 0, p1, monitor)
-        _sweep(c, s, s_diagonal, 1, p1, monitor)
-        _sweep(c, s, s_anti, -1, p1, monitor)
-    swapped = (1, 0, 2)
-    _sweep(cost.transpose(swapped), total.transpose(swapped), _transposed(right), 0, p1, monitor)
-    back = _transposed(_towards(right, 0, 1))
-    _sweep(cost[flip].transpose(swapped), total[flip].transpose(swapped), back, 0, p1, monitor)
+    total = _sum_of_paths(cost, penalties, np.float32(p1), shift, None, monitor)
     total *= np.float32(0.125)
     return total
 
 
-Step = tuple[F32, NDArray[np.int64]]
+def _sum_of_paths(
+    cost: NDArray[Any],
+    penalties: NDArray[Any],
+    p1: np.generic,
+    shift: I16 | None,
+    active: Mask | None,
+    monitor: Monitor | None = None,
+) -> NDArray[Any]:
+    """Sum over the 8 paths in the cost's type, [H, W, D]; 0 where a label is not ``active``."""
+    total = np.zeros_like(cost)
+    held = np.zeros(penalties.shape, np.int64)
+    if shift is not None:
+        held = np.clip(shift.astype(np.int64), -cost.shape[2] - 1, cost.shape[2] + 1)
+    if active is None:
+        active = np.ones(cost.shape, bool)
+    right, down, diagonal, anti = zip(penalties, held, strict=True)
+    # A path is a sweep over lines; flipping and transposing views turns all eight into three kinds of sweep.
+    flip = (slice(None, None, -1), slice(None, None, -1))
+    volume = (cost, active, total)
+    turned = (cost[flip], active[flip], total[flip])
+    sweeps = [(volume, down, diagonal, anti)]
+    sweeps.append((turned, _towards(down, 1, 0), _towards(diagonal, 1, 1), _towards(anti, 1, -1)))
+    for v, s_down, s_diagonal, s_anti in sweeps:
+        _sweep(v, s_down, 0, p1, monitor)
+        _sweep(v, s_diagonal, 1, p1, monitor)
+        _sweep(v, s_anti, -1, p1, monitor)
+    for (c, a, t), step in ((volume, right), (turned, _towards(right, 0, 1))):
+        _sweep((c.swapaxes(0, 1), a.swapaxes(0, 1), t.swapaxes(0, 1)), _transposed(step), 0, p1, monitor)
+    return total
+
+
+Step = tuple[NDArray[Any], NDArray[np.int64]]
 """Penalty and label shift of the step from each pixel to one of its neighbours, [H, W] each."""
+Volume = tuple[NDArray[Any], Mask, NDArray[Any]]
+"""Costs, which labels are active, and the sum of the paths, [H, W, D] each."""
 
 
 def _towards(step: Step, dy: int, dx: int) -> Step:
@@ -124,46 +152,155 @@ def _transposed(step: Step) -> Step:
     return step[0].T, step[1].T
 
 
-def _sweep(cost: F32, total: F32, step: Step, slant: int, p1: float, monitor: Monitor | None) -> None:
-    """Add the paths that run from line i − 1, position x − slant, to line i, position x, to ``total`` in place.
+def _wall(kind: np.dtype[Any]) -> Any:
+    """The value of a label that no path comes from."""
+    return kind.type(1e30 if kind.kind == "f" else 32767)
+
+
+def _sweep(volume: Volume, step: Step, slant: int, p1: np.generic, monitor: Monitor | None) -> None:
+    """Add the paths that run from line i − 1, position x − slant, to line i, position x, to the sum in place.
 
     ``step[…][i − 1, x − slant]`` belongs to that step.
     """
+    cost, active, total = volume
     penalty, shift = step
-    lines, width, planes = cost.shape
-    labels = np.arange(planes)
-    wall = np.float32(1e30)
-    previous = cost[0].copy()
-    total[0] += previous
-    padded = np.full((width, planes + 2), wall, np.float32)
-    for i in range(1, lines):
-        lowest = previous.min(1, keepdims=True)
-        padded[:, 1:-1] = previous
-        near = padded
-        if shift[i - 1].any():
-            near = _shifted(previous, labels - shift[i - 1][:, None], wall)
-        best = np.minimum(near[:, :-2], near[:, 2:])
-        best += np.float32(p1)
-        np.minimum(best, near[:, 1:-1], out=best)
-        np.minimum(best, lowest + penalty[i - 1][:, None], out=best)
-        best -= lowest
+    wall = _wall(cost.dtype)
+    previous = np.where(active[0], cost[0], wall)
+    total[0] += np.where(active[0], cost[0], 0)
+    for i in range(1, cost.shape[0]):
+        gained = _best_step(previous, penalty[i - 1], shift[i - 1], p1)
         current = cost[i].copy()
         if slant == 0:
-            current += best
+            current += gained
         elif slant > 0:
-            current[slant:] += best[:-slant]
+            current[slant:] += gained[:-slant]
         else:
-            current[:slant] += best[-slant:]
-        total[i] += current
-        previous = current
+            current[:slant] += gained[-slant:]
+        total[i] += np.where(active[i], current, 0)
+        previous = np.where(active[i], current, wall)
         if monitor and i % 64 == 0:
             monitor.advance(0)
 
 
-def _shifted(values: F32, wanted: NDArray[np.int64], wall: np.float32) -> F32:
+def _best_step(previous: NDArray[Any], penalty: NDArray[Any], shift: NDArray[np.int64], p1: np.generic) -> NDArray[Any]:
+    """What a path adds to the costs of its next line, [W, D]; nothing behind a pixel without any label."""
+    wall = _wall(previous.dtype)
+    lowest = previous.min(1, keepdims=True)
+    labels = np.arange(previous.shape[1])
+    near = np.pad(previous, ((0, 0), (1, 1)), constant_values=wall)
+    if shift.any():
+        near = _shifted(previous, labels - shift[:, None])
+    best = np.minimum(near[:, :-2], near[:, 2:])
+    best += p1
+    np.minimum(best, near[:, 1:-1], out=best)
+    np.minimum(best, lowest + penalty[:, None], out=best)
+    return np.where(lowest < wall, best - lowest, 0)
+
+
+def _shifted(values: NDArray[Any], wanted: NDArray[np.int64]) -> NDArray[Any]:
     """Labels −1 … planes of every row, read where ``wanted`` [W, planes] says; walls beyond its ends."""
     planes = values.shape[1]
     everywhere = np.concatenate([wanted[:, :1] - 1, wanted, wanted[:, -1:] + 1], axis=1)
     inside = (everywhere >= 0) & (everywhere < planes)
     read = np.take_along_axis(values, np.clip(everywhere, 0, planes - 1), axis=1)
-    return np.where(inside, read, wall)
+    return np.where(inside, read, _wall(values.dtype))
+
+
+def aggregate_u16(
+    cost: U16,
+    guide: U8,
+    p1: float,
+    p2: float,
+    edge_grey: float,
+    *,
+    span: I16 | None = None,
+    shift: I16 | None = None,
+    threads: int = 0,
+    out: U16 | None = None,
+) -> U16:
+    """Aggregate a cost volume in 16-bit fixed point; the same bits natively and in NumPy, for any thread count.
+
+    Parameters
+    ----------
+    cost : uint16 [H, W, D]
+        In any unit. A path's value is at most a cost and P2, and eight paths must fit 16 bits: costs above
+        8191 − P2 count as that.
+    guide : uint8 [H, W, 3]
+        Image whose edges lower P2.
+    p1, p2 : float
+        Penalties for a change of one label and of more, in units of the cost; rounded to whole ones.
+    edge_grey : float
+        Sum of the absolute RGB differences that halves P2.
+    span : int16 [ceil(H / 8), ceil(W / 8), 2], optional
+        First and one-past-last label that is active in each tile of 8×8 pixels. The others are neither read nor
+        written and are walls to the paths; a path starts anew behind a tile without any. None = all are active.
+    shift : int16 [4, H, W], optional
+        As for `aggregate`.
+    out : uint16 [H, W, D], optional
+        Where to put the result; not the cost itself.
+
+    Returns
+    -------
+    uint16 [H, W, D], sum over 8 paths; 65535 outside the spans.
+
+    Raises
+    ------
+    ValueError
+        The shapes do not match, or the penalties leave no room for costs.
+    """
+    height, width = cost.shape[:2]
+    tiles = (-(-height // SPAN_TILE), -(-width // SPAN_TILE), 2)
+    fits = guide.shape[:2] == (height, width) and (shift is None or shift.shape == (4, height, width))
+    if not fits or (span is not None and span.shape != tiles) or (out is not None and out.shape != cost.shape):
+        raise ValueError(f"shapes do not match the cost's {cost.shape}")
+    table = penalty_table(p1, p2, edge_grey)
+    step, cap = round(p1), PATH_LIMIT - int(table.max())
+    if not 0 <= step <= PATH_LIMIT or cap < 1:
+        raise ValueError(f"penalties {p1:g} and {p2:g} leave no room below {PATH_LIMIT}: take a coarser unit")
+    native = load_native("lfrig.processing.kernels._native")
+    if native is None:
+        total = _aggregate_u16_numpy(np.minimum(cost, cap), _penalties_numpy(guide, table), step, span, shift)
+        if out is None:
+            return total
+        out[:] = total
+        return out
+    penalties = np.empty((4, height, width), np.uint16)
+    native.edge_penalties(np.ascontiguousarray(guide), table, penalties, threads)
+    result = np.empty_like(cost, order="C") if out is None else out
+    none = np.zeros((0, 0, 0), np.int16)
+    moved, active = (none if a is None else np.ascontiguousarray(a, np.int16) for a in (shift, span))
+    native.sgm_u16(np.ascontiguousarray(cost), penalties, moved, active, step, cap, result, threads)
+    return result
+
+
+def penalty_table(p1: float, p2: float, edge_grey: float) -> U16:
+    """P2 in fixed point by the sum of the absolute RGB differences 0..765, uint16 [766] (see `edge_penalties`)."""
+    lowered = p2 / (1 + np.arange(766) / edge_grey)
+    return np.asarray(np.rint(np.clip(np.maximum(1.5 * p1, lowered), 0, PATH_LIMIT)), np.uint16)
+
+
+def _penalties_numpy(guide: U8, table: U16) -> U16:
+    """P2 to the right, down, down-right and down-left neighbour, uint16 [4, H, W]; last rows/columns unused."""
+    image = guide.astype(np.int16)
+    out = np.full((4, *guide.shape[:2]), table[0], np.uint16)
+    out[0, :, :-1] = table[np.abs(image[:, :-1] - image[:, 1:]).sum(-1)]
+    out[1, :-1] = table[np.abs(image[:-1] - image[1:]).sum(-1)]
+    out[2, :-1, :-1] = table[np.abs(image[:-1, :-1] - image[1:, 1:]).sum(-1)]
+    out[3, :-1, 1:] = table[np.abs(image[:-1, 1:] - image[1:, :-1]).sum(-1)]
+    return out
+
+
+def _aggregate_u16_numpy(cost: U16, penalties: U16, p1: int, span: I16 | None, shift: I16 | None) -> U16:
+    """NumPy twin of `aggregate_u16`; ``cost`` is already capped."""
+    active = None if span is None else active_labels(span, cost.shape)
+    total = _sum_of_paths(cost.astype(np.int32), penalties.astype(np.int32), np.int32(p1), shift, active)
+    if active is not None:
+        total[~active] = INACTIVE
+    return np.asarray(total, np.uint16)
+
+
+def active_labels(span: I16, shape: tuple[int, ...]) -> Mask:
+    """Which labels of which pixels are inside their tile's span, bool [H, W, D]."""
+    each = span.repeat(SPAN_TILE, 0).repeat(SPAN_TILE, 1)[: shape[0], : shape[1], None, :]
+    labels = np.arange(shape[2])
+    return (each[..., 0] <= labels) & (labels < each[..., 1])

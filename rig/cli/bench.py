@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from lfrig.contracts.bench import BenchDocument
 
-WITH_SCENES = ("accuracy", "poses")
+WITH_SCENES = ("accuracy", "poses", "speed", "skip")
 LATER = ("rig", "models", "ablation")
 
 
@@ -29,7 +29,9 @@ def bench(
     context: typer.Context,
     name: Annotated[
         str,
-        typer.Argument(metavar="accuracy|pareto|stress|decode|poses|kernels|skip|regression", help="Which benchmark."),
+        typer.Argument(
+            metavar="accuracy|pareto|stress|decode|poses|speed|kernels|skip|regression", help="Which benchmark."
+        ),
     ],
     out: Annotated[Path, typer.Option(help="Folder for the JSON, the Markdown and the plots.")] = Path("out/bench"),
     size: Annotated[
@@ -41,7 +43,7 @@ def bench(
     ] = None,
     scenes: Annotated[
         str | None,
-        typer.Option(metavar="NAME,NAME", help="Other scenes, for accuracy and poses; bounds are not checked."),
+        typer.Option(metavar="NAME,NAME", help="Other scenes, for accuracy, poses, speed and skip; bounds are not checked."),
     ] = None,
     check: Annotated[bool, typer.Option("--check", help="Exit 1 when a check fails.")] = False,
 ) -> None:

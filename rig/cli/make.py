@@ -70,7 +70,7 @@ def process(
         str | None, typer.Option(metavar="ID,ID", help="Light fields to use; default: all, nearest 4 of more.")
     ] = None,
     poses: Annotated[str, typer.Option(help="auto | lf | colmap | given")] = "auto",
-    preset: Annotated[str, typer.Option(help="fast (preview, balanced, paper: not in this version)")] = "fast",
+    preset: Annotated[str, typer.Option(help="fast | preview (balanced, paper: not in this version)")] = "fast",
     backend: Annotated[str, typer.Option(help="auto | cpu")] = "auto",
     target_baseline_m: Annotated[
         float | None, typer.Option(help="Baseline between adjacent views; default: the nearest source's.")
@@ -97,7 +97,7 @@ def process(
     if out is not None and len(sessions) > 1:
         raise UsageError("--out names one result, but several sessions were given", remedy="leave --out out")
 
-    from lfrig.processing.pipeline import ProcessOptions, check_options
+    from lfrig.processing.options import ProcessOptions, check_options
     from lfrig.rig.process import check_session, process_session
 
     run: Run = context.obj

@@ -47,7 +47,7 @@ def evaluate(
     overwrite: Overwrite = False,
 ) -> None:
     """Leave one out: each light field in turn is the target, scored on its own views."""
-    from lfrig.processing.pipeline import ProcessOptions, check_options
+    from lfrig.processing.options import ProcessOptions, check_options
     from lfrig.rig.cli.make import POSES
     from lfrig.rig.leave_one_out import evaluate_session
 

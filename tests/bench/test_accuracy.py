@@ -17,7 +17,7 @@ from lfrig.bench.document import markdown_table
 from lfrig.bench.inputs import Input
 from lfrig.bench.stages import stage_table
 from lfrig.contracts.bench import BenchDocument
-from lfrig.processing.pipeline import Settings
+from lfrig.processing.options import Settings
 from lfrig.sim.scenes import REPORTING, TUNING
 
 TINY = (96, 64)

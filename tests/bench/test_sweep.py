@@ -5,7 +5,7 @@ import pytest
 from lfrig.bench import sweep
 from lfrig.bench.cases import shoot_case
 from lfrig.contracts.errors import UsageError
-from lfrig.processing.pipeline import Settings
+from lfrig.processing.options import Settings
 
 
 def test_every_combination_is_run() -> None:

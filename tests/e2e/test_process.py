@@ -65,6 +65,30 @@ def test_an_existing_result_stays(lfrig, session: Path, content) -> None:
     assert content(session) == before
 
 
+def test_another_run_takes_the_evidence_that_is_there(lfrig, session: Path) -> None:
+    def unchanged(*arguments: str) -> tuple[float, float]:
+        outcome = lfrig("process", session, "--json", *arguments)
+        assert outcome.code == 0, outcome.err
+        evidence = outcome.json["results"][0]["report"]["stages"][0]
+        [counts] = [skip for skip in evidence["skips"] if skip["name"] == "unchanged"]
+        return counts["done"], counts["skipped"]
+
+    assert unchanged() == (2, 0)
+    first = exact_files(session / "results" / "002-fast")
+    assert unchanged("--overwrite") == (0, 2)
+    assert exact_files(session / "results" / "002-fast") == first
+    shutil.rmtree(session / "cache")
+    assert unchanged("--overwrite") == (2, 0)
+
+
+def test_the_preview_preset(lfrig, session: Path) -> None:
+    outcome = lfrig("process", session, "--preset", "preview")
+    assert outcome.code == 0, outcome.err
+    result = session / "results" / "002-preview"
+    assert report_of(result)["options"]["resolution"] == 0.5
+    assert same_pixels(result / "views" / "03_03.png", session / "captures" / "002" / "photo.png")
+
+
 def test_overwrite_replaces_the_whole_result(lfrig, session: Path) -> None:
     assert lfrig("process", session).code == 0
     result = session / "results" / "002-fast"

@@ -50,7 +50,6 @@ def test_nonsense(lfrig, arguments: list[str]) -> None:
     ["console"], ["serve", "--port", "1"], ["calibrate"], ["calibration", "list"],
     ["models", "verify"], ["cache", "prune"],
     ["process", "S", "--preset", "balanced"], ["process", "S", "--preset", "paper"],
-    ["process", "S", "--preset", "preview"],
     ["process", "S", "--backend", "openvino"], ["process", "S", "--on", "host"],
     ["process", "S", "--scheduler", "tcp://h:1"],
     ["evaluate", "S", "--preset", "fast,balanced"],

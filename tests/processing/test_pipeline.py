@@ -18,7 +18,8 @@ from lfrig.processing.fusion import FusedVolume, FusionSettings, fuse, inverse_d
 from lfrig.processing.geometry import rotation_z
 from lfrig.processing.kernels.plane_fit import local_planes
 from lfrig.processing.model import F32, Pose, RigPrior, ScaleFit, Source
-from lfrig.processing.pipeline import ProcessOptions, process
+from lfrig.processing.options import ProcessOptions
+from lfrig.processing.pipeline import process
 from lfrig.processing.refine import RefineSettings, smooth, snap_to_edges
 from lfrig.processing.regularise import RegulariseSettings, regularise
 from lfrig.processing.visibility import count_agreeing, land

@@ -200,7 +200,7 @@ def test_distortion_of_a_raw_capture_is_taken_out(session: SessionStore) -> None
 
 
 def test_a_session_of_raw_captures_is_processed(session: SessionStore) -> None:
-    from lfrig.processing.pipeline import ProcessOptions
+    from lfrig.processing.options import ProcessOptions
     from lfrig.rig.process import process_session
 
     folder = process_session(session.path, options=ProcessOptions(poses="given"))
@@ -209,7 +209,7 @@ def test_a_session_of_raw_captures_is_processed(session: SessionStore) -> None:
 
 
 def test_a_missing_calibration_is_in_the_report(session: SessionStore) -> None:
-    from lfrig.processing.pipeline import ProcessOptions
+    from lfrig.processing.options import ProcessOptions
     from lfrig.rig.process import process_session
 
     shutil.rmtree(session.path / "calibration")
