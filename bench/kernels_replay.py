@@ -178,5 +178,5 @@ def largest_difference(ours: Sequence[Array], other: Sequence[Array]) -> float:
         finite = np.isfinite(x) & np.isfinite(y)
         if not np.array_equal(np.where(finite, 0, x), np.where(finite, 0, y), equal_nan=True):
             return float("inf")
-        worst = max(worst, float(np.abs(x - y)[finite].max(initial=0)))
+        worst = max(worst, float(np.abs(x[finite] - y[finite]).max(initial=0)))
     return worst

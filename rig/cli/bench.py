@@ -43,7 +43,9 @@ def bench(
     ] = None,
     scenes: Annotated[
         str | None,
-        typer.Option(metavar="NAME,NAME", help="Other scenes, for accuracy, poses, speed and skip; bounds are not checked."),
+        typer.Option(
+            metavar="NAME,NAME", help="Other scenes, for accuracy, poses, speed and skip; bounds are not checked."
+        ),
     ] = None,
     check: Annotated[bool, typer.Option("--check", help="Exit 1 when a check fails.")] = False,
 ) -> None:
