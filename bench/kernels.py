@@ -7,6 +7,7 @@ the STREAM triad, its operations at the speed of multiply-adds in registers, bot
 
 from __future__ import annotations
 
+import functools
 import statistics
 import tempfile
 from collections.abc import Callable, Sequence
@@ -138,8 +139,7 @@ def _time(kernel: Kernel, replay: Replay, threads: int, runs: int, monitor: Moni
 
     call = replay.call
     references: dict[str, Callable[[], object]] = {
-        title: lambda other=function: other(*call.args, **call.kwargs)  # type: ignore[misc]
-        for title, function in kernel.opencv().items()
+        title: functools.partial(function, call) for title, function in kernel.opencv().items()
     }
     timing = Timing([], {title: [] for title in references} or {TWIN: []})
     before = cv2.getNumThreads()

@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from lfrig.processing.kernels.colour_evidence import SATURATED, ColourTerm
 from lfrig.processing.kernels.fusion import RIM_PX, Pool
 from lfrig.processing.kernels.plane_cost import SCALE
 from lfrig.processing.model import F32, F64, Evidence, Image, ScaleFit
@@ -153,6 +154,34 @@ def fuse_by_remap(
         score[inside == 0] = neutral
         volume[:, :, k] += np.float32(weight) * score
     return inside_total
+
+
+def colours_by_remap(
+    volume: F32, photo: F32, image: F32, disparity: F32, scale: ScaleFit, projection: tuple[F64, F64],
+    planes: tuple[float, float], term: ColourTerm, **_: object,
+) -> None:  # fmt: skip
+    """Colour evidence of one source: one bilinear `cv2.remap` of its four channels per target plane."""
+    height, width, count = volume.shape
+    right, bottom = image.shape[1] - 1.0, image.shape[0] - 1.0
+    ys, xs = np.mgrid[0:height, 0:width].astype(np.float32)
+    a, b = (part.astype(np.float32) for part in projection)
+    px, py, pz = (a[i, 0] * xs + a[i, 1] * ys + a[i, 2] for i in range(3))
+    own, over = np.ascontiguousarray(photo[..., :3]), (photo[..., 3:] <= SATURATED).astype(np.float32)
+    for k in range(count):
+        w = planes[0] + planes[1] * k
+        inverse = 1 / cv2.max(pz + np.float32(b[2] * w), 1e-6)
+        u, v = (px + np.float32(b[0] * w)) * inverse, (py + np.float32(b[1] * w)) * inverse
+        inside = (u >= 0) & (v >= 0) & (u < right) & (v < bottom)
+        colour = cv2.remap(image, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        rise = own - colour[..., :3]
+        under = (colour[..., 3:] <= SATURATED).astype(np.float32)
+        mismatch = cv2.max(rise, 0.0) * under - cv2.min(rise, 0.0) * over
+        cost = cv2.min(cv2.transform(mismatch, np.full((1, 3), 1 / 3 / term.sigma_grey)), term.cap)
+        delta = inverse * np.float32(w / scale.a) - np.float32(scale.c / scale.a)
+        seen = cv2.remap(disparity, u, v, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)
+        hidden = (seen - delta - np.float32(term.margin_px)) * np.float32(2 / term.margin_px)
+        shown = 1 - cv2.min(cv2.max(hidden, 0.0), 1.0)
+        volume[:, :, k] += np.float32(term.weight) * shown * (np.float32(term.unknown) - cost) * inside
 
 
 def _between_planes(mosaic: NDArray[np.uint16], u: F32, v: F32, q: F32, evidence: Evidence) -> F32:

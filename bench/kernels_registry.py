@@ -15,7 +15,8 @@ import numpy as np
 from lfrig.bench.kernels_replay import Array, Call, Spot
 
 Unit = Literal["int16", "float32"]
-Reference = Callable[..., Any]
+Reference = Callable[[Call], Any]
+Opencv = Callable[[], dict[str, Reference]]
 Count = Callable[[Call, list[Array]], float]
 """(call, outputs) → a number."""
 PACKAGE = "lfrig.processing.kernels"
@@ -37,7 +38,7 @@ class Kernel:
     tolerance: float
     unit: Unit = "float32"
     touched: Count = lambda call, outputs: 1.0
-    opencv: Callable[[], dict[str, Reference]] = dict
+    opencv: Opencv = dict
     exact: bool = True
     compared: Callable[[Call, list[Array]], list[Array]] = lambda call, outputs: outputs
     """Of the outputs, what the kernel promises."""
@@ -101,13 +102,24 @@ def _decode_operations(call: Call, outputs: list[Array]) -> float:
     return float((25 * 4 + 7 * 4) * 2 * outputs[1].size)
 
 
-def _opencv(*names: str) -> Callable[[], dict[str, Reference]]:
-    """References by title; OpenCV is loaded when they are asked for."""
+def _as_called(call: Call) -> tuple[tuple[Any, ...], dict[str, Any]]:
+    return call.args, call.kwargs
+
+
+def _opencv(*names: str, arguments: Callable[[Call], tuple[tuple[Any, ...], dict[str, Any]]] = _as_called) -> Opencv:
+    """Functions of `kernels_opencv` by title; ``arguments`` are theirs from a call. OpenCV is loaded when asked for."""
 
     def load() -> dict[str, Reference]:
         from lfrig.bench import kernels_opencv
 
-        return {f"OpenCV, {name.partition('_by_')[2]}": getattr(kernels_opencv, name) for name in names}
+        def reference(name: str) -> Reference:
+            def make(call: Call) -> Any:
+                args, kwargs = arguments(call)
+                return getattr(kernels_opencv, name)(*args, **kwargs)
+
+            return make
+
+        return {f"OpenCV, {name.partition('_by_')[2]}": reference(name) for name in names}
 
     return load
 
@@ -132,7 +144,7 @@ KERNELS = (
     ),
     Kernel(
         _spot("colours", "colour_evidence", "add_colour_evidence", in_place=(0,)), "colours of one source",
-        _per_output(60), 1e-2,
+        _per_output(60), 1e-2, opencv=_opencv("colours_by_remap"),
     ),
     Kernel(
         _spot("first-surface", "fusion", "first_surface", in_place=(0,)), "first-surface rule", _per_output(7), 1e-4

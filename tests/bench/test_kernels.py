@@ -16,7 +16,7 @@ from lfrig.bench.kernels_registry import KERNELS, UNTIMED
 from lfrig.bench.kernels_replay import Call, Replay, Spot, largest_difference, native_switched, recording
 from lfrig.contracts.errors import UsageError
 from lfrig.processing import dpv
-from lfrig.processing.kernels import fusion, plane_cost, warp
+from lfrig.processing.kernels import colour_evidence, fusion, plane_cost, warp
 from lfrig.processing.model import Evidence, ScaleFit
 
 needs_native = pytest.mark.skipif(
@@ -126,6 +126,23 @@ def test_opencv_fusion_is_correct() -> None:
     # OpenCV reads between pixels in steps of 1/32; logarithms of small probabilities feel it.
     error = np.abs(ours - reference)
     assert np.quantile(error, 0.95) < 0.1 and error.max() < 1.0
+
+
+def test_opencv_colours_are_correct() -> None:
+    rng = np.random.default_rng(5)
+    photo, image = (rng.uniform(0, 255, (12, 17, 4)).astype(np.float32) for _ in range(2))
+    photo[..., 3], image[..., 3] = rng.random((12, 17)) < 0.2, rng.random((12, 17)) < 0.2
+    disparity = rng.uniform(-0.5, 0.5, (12, 17)).astype(np.float32)
+    view = np.array([[1, 0.02, -2], [0.01, 1.05, 1], [0.0005, 0, 0.95]]), np.array([1.5, -1.0, 0.03])
+    term = colour_evidence.ColourTerm(1.5, 40.0, 3.0, 1.0, 0.06)
+    found = []
+    for add in (colour_evidence.add_colour_evidence, kernels_opencv.colours_by_remap):
+        volume = np.zeros((12, 17, 7), np.float32)
+        add(volume, photo, image, disparity, ScaleFit(1.4, 2.0), view, (1.4, 0.15), term)
+        found.append(volume)
+    assert np.abs(found[0]).max() > 0.5
+    error = np.abs(found[0] - found[1])  # where a tap is saturated, a 32nd of a pixel decides whether the value is
+    assert np.median(error) < 0.02 and (error < 0.2).mean() > 0.85
 
 
 def test_the_longer_of_two_times_is_the_limit() -> None:
