@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from lfrig.bench.cases import NEAR_DEG, shoot_case
+from lfrig.bench.cases import NEAR_DEG, Case, shoot_case
 from lfrig.bench.decode_files import CALIBRATION, SHOT, write_files
 from lfrig.bench.decode_scene import PlaneScene, SensorModel, shoot
 from lfrig.bench.kernels_registry import Kernel
@@ -17,7 +18,9 @@ from lfrig.contracts.progress import Monitor, Muted
 from lfrig.processing.lenslet.decode import decode
 from lfrig.processing.lenslet.raw import read_raw
 from lfrig.processing.model import LightFieldRequest
+from lfrig.processing.options import PRESETS, ProcessOptions
 from lfrig.processing.pipeline import ProcessResult, process
+from lfrig.processing.skipping import Skips
 from lfrig.processing.synthesis.field import view_field, view_offsets
 from lfrig.processing.synthesis.settings import DEFAULT_SYNTHESIS
 
@@ -44,7 +47,11 @@ def record_calls(
             monitor=Muted(monitor),
         )  # fmt: skip
         with recording(spots, folder):
-            result = process(case.sources, case.target, case.prior, case.options(threads=threads), Muted(monitor))
+            # As shipped first: of equally large calls the first is kept. Without skipping for what it leaves out.
+            result, _ = (
+                process(case.sources, case.target, case.prior, _options(case, skips, threads), Muted(monitor))
+                for skips in (Skips(), Skips.nothing())
+            )
         if any(kernel.name == "warp" for kernel in kernels):
             warp_call(result).save(folder / "warp.pkl")
     monitor.advance(0)
@@ -52,6 +59,10 @@ def record_calls(
     if raw:
         with tempfile.TemporaryDirectory(prefix="lfrig-") as name, recording(raw, folder):
             decode_capture(size, Path(name), threads, monitor)
+
+
+def _options(case: Case, skips: Skips, threads: int) -> ProcessOptions:
+    return case.options(settings=replace(PRESETS["fast"].settings, skips=skips), threads=threads)
 
 
 def warp_call(result: ProcessResult) -> Call:
