@@ -160,7 +160,7 @@ KERNELS = (
     Kernel(
         _spot("lenslet", "lenslet", "decode_views"), "lenslet decode", _decode_operations, 2.0
     ),
-    Kernel(_spot("unpack", "unpack", "unpack_little10", threaded=False), "unpack 10 bits", None, 0.0),
+    Kernel(_spot("unpack", "unpack", "unpack_little10"), "unpack 10 bits", None, 0.0),
 )  # fmt: skip
 UNTIMED = {"module": "no kernel", "stream": "what the others are held against"}
 """Files of ``processing/kernels`` that hold no kernel to be timed."""

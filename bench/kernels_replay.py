@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import importlib
+import inspect
 import os
 import pickle
 import sys
@@ -63,8 +64,11 @@ class Spot:
     meant: Callable[[Call], bool] = lambda call: True
     in_place: tuple[int, ...] = ()
     """Positions of arguments that the kernel changes."""
-    threaded: bool = True
-    """Whether it takes a number of threads."""
+
+    @property
+    def threaded(self) -> bool:
+        """Whether it takes a number of threads."""
+        return "threads" in inspect.signature(self.resolve()).parameters
 
     def resolve(self) -> Function:
         """The function."""
