@@ -14,8 +14,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from lfrig.processing.kernels.colour_evidence import SATURATED, ColourTerm
-from lfrig.processing.kernels.fusion import RIM_PX, Pool
 from lfrig.processing.kernels.plane_cost import SCALE
 from lfrig.processing.model import F32, F64, Evidence, Image, ScaleFit
 
@@ -88,6 +86,10 @@ def warp_by_remap(image: Image, fields: F32, offsets: F32, **_: object) -> Image
 
 
 MOSAIC_COLUMNS = 16
+RIM_PX = 1e-3
+"""As the kernels have it: a ray that meets the frame's rim to within rounding is inside."""
+SATURATED = 0.02
+"""Share of saturated pixels from which on a colour is a lower bound only."""
 
 
 @functools.lru_cache(maxsize=1)
@@ -117,15 +119,13 @@ class _ById:
 
 
 def fuse_by_remap(
-    volume: F32, mass: F32 | None, evidence: Evidence, scale: ScaleFit, matrix: F64, offset: F64,
-    planes: tuple[float, float], pool: Pool, *, weight: float = 1.0, margin_px: float = 0.06, **_: object,
+    volume: F32, evidence: Evidence, scale: ScaleFit, matrix: F64, offset: F64, planes: tuple[float, float], *,
+    floor_share: float, margin_px: float,
 ) -> int:  # fmt: skip
     """Log-pool fusion of one source: two bilinear `cv2.remap` per target plane, joined along the source's planes.
 
     The mosaic is made once per source, which is not charged.
     """
-    if not pool.log_pool or pool.literal or mass is not None:
-        raise ValueError("only the log pool with the exact map")
     height, width, count = volume.shape
     source_height, source_width = evidence.disparity.shape
     mosaic = _mosaic_of(_ById(evidence))
@@ -133,8 +133,8 @@ def fuse_by_remap(
     a, b = matrix.astype(np.float32), offset.astype(np.float32)
     px, py, pz = (a[i, 0] * xs + a[i, 1] * ys + a[i, 2] for i in range(3))
     first, step = evidence.planes_px
-    neutral, flat = -float(np.log(count)), pool.floor_share / count
-    right, bottom = source_width - 1 - float(RIM_PX), source_height - 1 - float(RIM_PX)
+    neutral, flat = -float(np.log(count)), floor_share / count
+    right, bottom = source_width - 1 - RIM_PX, source_height - 1 - RIM_PX
     inside_total = 0
     for k in range(count):
         w = planes[0] + planes[1] * k
@@ -146,19 +146,18 @@ def fuse_by_remap(
         delta = inverse * np.float32(w / scale.a) - np.float32(scale.c / scale.a)
         p = _between_planes(mosaic, u, v, (delta - np.float32(first)) * np.float32(1 / step), evidence)
         stretch = cv2.min(pz * inverse * inverse * np.float32(abs(planes[1] / (scale.a * step))), 4.0)
-        score = cv2.log(p * stretch * np.float32(1 - pool.floor_share) + np.float32(flat))
-        if pool.visibility:
-            seen = cv2.remap(evidence.disparity, u, v, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)
-            hidden = cv2.min(cv2.max((seen - delta - np.float32(margin_px)) * np.float32(2 / margin_px), 0.0), 1.0)
-            score += hidden * cv2.max(np.float32(neutral) - score, 0.0)
+        score = cv2.log(p * stretch * np.float32(1 - floor_share) + np.float32(flat))
+        seen = cv2.remap(evidence.disparity, u, v, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)
+        hidden = cv2.min(cv2.max((seen - delta - np.float32(margin_px)) * np.float32(2 / margin_px), 0.0), 1.0)
+        score += hidden * cv2.max(np.float32(neutral) - score, 0.0)
         score[inside == 0] = neutral
-        volume[:, :, k] += np.float32(weight) * score
+        volume[:, :, k] += score
     return inside_total
 
 
 def colours_by_remap(
     volume: F32, photo: F32, image: F32, disparity: F32, scale: ScaleFit, projection: tuple[F64, F64],
-    planes: tuple[float, float], term: ColourTerm, **_: object,
+    planes: tuple[float, float], *, weight: float, sigma_grey: float, cap: float, unknown: float, margin_px: float,
 ) -> None:  # fmt: skip
     """Colour evidence of one source: one bilinear `cv2.remap` of its four channels per target plane."""
     height, width, count = volume.shape
@@ -176,12 +175,12 @@ def colours_by_remap(
         rise = own - colour[..., :3]
         under = (colour[..., 3:] <= SATURATED).astype(np.float32)
         mismatch = cv2.max(rise, 0.0) * under - cv2.min(rise, 0.0) * over
-        cost = cv2.min(cv2.transform(mismatch, np.full((1, 3), 1 / 3 / term.sigma_grey)), term.cap)
+        cost = cv2.min(cv2.transform(mismatch, np.full((1, 3), 1 / 3 / sigma_grey)), cap)
         delta = inverse * np.float32(w / scale.a) - np.float32(scale.c / scale.a)
         seen = cv2.remap(disparity, u, v, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)
-        hidden = (seen - delta - np.float32(term.margin_px)) * np.float32(2 / term.margin_px)
+        hidden = (seen - delta - np.float32(margin_px)) * np.float32(2 / margin_px)
         shown = 1 - cv2.min(cv2.max(hidden, 0.0), 1.0)
-        volume[:, :, k] += np.float32(term.weight) * shown * (np.float32(term.unknown) - cost) * inside
+        volume[:, :, k] += np.float32(weight) * shown * (np.float32(unknown) - cost) * inside
 
 
 def _between_planes(mosaic: NDArray[np.uint16], u: F32, v: F32, q: F32, evidence: Evidence) -> F32:

@@ -7,7 +7,7 @@ is a proper one (else the NumPy twin is the reference), and how many arithmetic 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -124,6 +124,18 @@ def _opencv(*names: str, arguments: Callable[[Call], tuple[tuple[Any, ...], dict
     return load
 
 
+def _fusion_arguments(call: Call) -> tuple[tuple[Any, ...], dict[str, Any]]:
+    volume, _, evidence, scale, matrix, offset, planes, pool = call.args
+    # Of the kernel's modes the shipped one: log pool, visibility, exact map.
+    assert pool.log_pool and pool.visibility and not pool.literal
+    margin_px = call.kwargs.get("margin_px", 0.06)
+    return (volume, evidence, scale, matrix, offset, planes), {"floor_share": pool.floor_share, "margin_px": margin_px}
+
+
+def _colour_arguments(call: Call) -> tuple[tuple[Any, ...], dict[str, Any]]:
+    return call.args[:7], asdict(call.args[7])
+
+
 SWEEPS = _opencv("sweep_by_warps", "sweep_by_rectangles")
 
 KERNELS = (
@@ -140,11 +152,11 @@ KERNELS = (
     Kernel(_spot("softmax", "softmax", "softmax_peak"), "softmax and peak", _per_output(24), 1.0),
     Kernel(
         _spot("fusion", "fusion", "add_evidence", in_place=(0,)), "fusion of one source", _per_output(55), 1e-2,
-        opencv=_opencv("fuse_by_remap"), exact=False,
+        opencv=_opencv("fuse_by_remap", arguments=_fusion_arguments), exact=False,
     ),
     Kernel(
         _spot("colours", "colour_evidence", "add_colour_evidence", in_place=(0,)), "colours of one source",
-        _per_output(60), 1e-2, opencv=_opencv("colours_by_remap"),
+        _per_output(60), 1e-2, opencv=_opencv("colours_by_remap", arguments=_colour_arguments),
     ),
     Kernel(
         _spot("first-surface", "fusion", "first_surface", in_place=(0,)), "first-surface rule", _per_output(7), 1e-4

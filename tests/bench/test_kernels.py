@@ -122,7 +122,9 @@ def test_opencv_fusion_is_correct() -> None:
     call = fusion_call(np.random.default_rng(4))
     ours, reference = call.args[0].copy(), call.args[0].copy()
     inside = fusion.add_evidence(ours, *call.args[1:])
-    assert kernels_opencv.fuse_by_remap(reference, *call.args[1:]) == inside > 0
+    replaced = Call((reference, *call.args[1:]), {})
+    kernel = next(kernel for kernel in KERNELS if kernel.name == "fusion")
+    assert kernel.opencv()["OpenCV, remap"](replaced) == inside > 0
     # OpenCV reads between pixels in steps of 1/32; logarithms of small probabilities feel it.
     error = np.abs(ours - reference)
     assert np.quantile(error, 0.95) < 0.1 and error.max() < 1.0
@@ -135,11 +137,11 @@ def test_opencv_colours_are_correct() -> None:
     disparity = rng.uniform(-0.5, 0.5, (12, 17)).astype(np.float32)
     view = np.array([[1, 0.02, -2], [0.01, 1.05, 1], [0.0005, 0, 0.95]]), np.array([1.5, -1.0, 0.03])
     term = colour_evidence.ColourTerm(1.5, 40.0, 3.0, 1.0, 0.06)
-    found = []
-    for add in (colour_evidence.add_colour_evidence, kernels_opencv.colours_by_remap):
-        volume = np.zeros((12, 17, 7), np.float32)
-        add(volume, photo, image, disparity, ScaleFit(1.4, 2.0), view, (1.4, 0.15), term)
-        found.append(volume)
+    found = [np.zeros((12, 17, 7), np.float32) for _ in range(2)]
+    calls = [Call((v, photo, image, disparity, ScaleFit(1.4, 2.0), view, (1.4, 0.15), term), {}) for v in found]
+    kernel = next(kernel for kernel in KERNELS if kernel.name == "colours")
+    colour_evidence.add_colour_evidence(*calls[0].args)
+    kernel.opencv()["OpenCV, remap"](calls[1])
     assert np.abs(found[0]).max() > 0.5
     error = np.abs(found[0] - found[1])  # where a tap is saturated, a 32nd of a pixel decides whether the value is
     assert np.median(error) < 0.02 and (error < 0.2).mean() > 0.85
