@@ -113,11 +113,16 @@ def kernel_rows(
         operations = kernel.operations(call, ours)
     promised = kernel.compared(call, ours)
     with native_switched(False):
-        difference = largest_difference(promised, kernel.compared(call, _outputs(kernel, replay, replay.run)))
-    del ours, promised
+        replay.reset()
+        with stopwatch() as watch:
+            returned = replay.run()
+        difference = largest_difference(promised, kernel.compared(call, replay.outputs(returned)))
+    assert watch.cost is not None
+    twin = [watch.cost]
+    del ours, promised, returned
     rows = []
     for count in THREADS if kernel.spot.threaded else THREADS[:1]:
-        timing = _time(kernel, replay, count, runs, monitor)
+        timing = _time(kernel, replay, count, runs, twin, monitor)
         least, bound = limits[count].least_cpu_s(moved, operations, kernel.unit)
         own = _medians(timing.native)
         for title, costs in timing.references.items():
@@ -133,15 +138,18 @@ def kernel_rows(
     return rows
 
 
-def _time(kernel: Kernel, replay: Replay, threads: int, runs: int, monitor: Monitor) -> Timing:
-    """The native form and its references in turn; a slow reference is run less often."""
+def _time(kernel: Kernel, replay: Replay, threads: int, runs: int, twin: list[Cost], monitor: Monitor) -> Timing:
+    """The native form and its references in turn; a slow reference is run less often.
+
+    ``twin`` holds the twin's runs so far: it has one thread, whatever the native form has.
+    """
     import cv2
 
     call = replay.call
     references: dict[str, Callable[[], object]] = {
         title: functools.partial(function, call) for title, function in kernel.opencv().items()
     }
-    timing = Timing([], {title: [] for title in references} or {TWIN: []})
+    timing = Timing([], {title: [] for title in references} or {TWIN: twin})
     before = cv2.getNumThreads()
     cv2.setNumThreads(threads)
     try:
