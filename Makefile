@@ -3,10 +3,10 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
-NATIVE := $(wildcard processing/kernels/*.cpp sim/*.cpp sim/*.hpp native/lfrig/*.hpp)
+NATIVE := $(wildcard processing/kernels/*.cpp processing/kernels/parts/*.?pp sim/*.cpp sim/*.hpp native/lfrig/*.hpp)
 PYTEST_ARGS ?= -n 2
 
-.PHONY: install demo pictures test lint gate bench wheel clean
+.PHONY: install demo pictures test lint gate bench wheel arm64 vectors clean
 
 install: $(STAMP)
 
@@ -38,11 +38,20 @@ bench: $(STAMP)
 	$(BIN)/lfrig bench pareto --out out/bench
 	$(BIN)/lfrig bench stress --out out/bench
 	$(BIN)/lfrig bench decode --size full --out out/bench
+	$(BIN)/lfrig bench kernels --out out/bench
+	$(BIN)/lfrig bench skip --out out/bench
 
 wheel: $(STAMP)
 	rm -rf dist
 	$(BIN)/python -m build --wheel --outdir dist .
 	.ci/wheel-smoke dist/*.whl constraints.txt
+
+# The native core on other processors, emulated: apt-get install g++-aarch64-linux-gnu qemu-user-static
+arm64: $(STAMP)
+	.ci/arm64 $(BIN)/python
+
+vectors: $(STAMP)
+	.ci/vector-levels $(BIN)/python
 
 clean:
 	rm -rf $(VENV) build dist demo out .*_cache

@@ -5,6 +5,8 @@
 - ``poses``     the pose stage against the truth, and what it makes of faults
 - ``decode``    what the decode of raw light fields costs and loses
 - ``speed``     how long whole runs, updates of a live session and single stages take, and their memory
+- ``kernels``   each native kernel against its reference and against the machine's limits
+- ``skip``      what leaving work out saves, and what it costs in error
 - ``stress``    what must hold, or be refused by name, on inputs that break things
 - ``regression``  figures of a small benchmark against stored bounds, for every change
 - ``peers``     other methods on the same inputs
@@ -30,6 +32,8 @@ BENCHES = {
     "regression": "lfrig.bench.regression",
     "poses": "lfrig.bench.poses",
     "speed": "lfrig.bench.speed",
+    "kernels": "lfrig.bench.kernels",
+    "skip": "lfrig.bench.skip",
 }
 
 

@@ -16,6 +16,7 @@ from lfrig.rig.session.convert import to_camera, to_light_field, to_pose, to_rig
 from lfrig.rig.truth import CaptureTruth
 from lfrig.sim.cache import default_cache_dir
 from lfrig.sim.rig import Poses, SimulatedCapture
+from lfrig.sim.scene import Scene
 from lfrig.sim.scenes import REPORTING, TUNING
 from lfrig.sim.shoot import shoot
 
@@ -82,7 +83,7 @@ def scene_names(half: str = "reporting", scenes: Sequence[str] | None = None) ->
 
 
 def shoot_case(
-    scene: str,
+    scene: str | Scene,
     size: tuple[int, int],
     *,
     poses: Poses = "given",
@@ -95,7 +96,7 @@ def shoot_case(
     cache_dir: Path | None = None,
     monitor: Monitor | None = None,
 ) -> Case:
-    """Shoot a scene of the library; renders are kept between runs in ``cache_dir`` (by default the user's
+    """Shoot a scene of the library, or another; renders are kept between runs in ``cache_dir`` (by default the user's
     cache).
 
     The pixels do not depend on ``poses``: ``given`` records exact poses and focal lengths, ``prior`` leaves
@@ -107,7 +108,7 @@ def shoot_case(
     )  # fmt: skip
     target = session.target
     return Case(
-        scene=scene,
+        scene=scene if isinstance(scene, str) else scene.name,
         sources=[
             to_light_field(name, session.captures[name].pixels, session.captures[name].document)
             for name in session.source_ids

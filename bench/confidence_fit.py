@@ -13,7 +13,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from lfrig.processing.confidence.model import LEAK, LIMIT, SIGMA_LIMITS_PX, TOLERANCE_PX, ConfidenceModel, Curve, Layer
+from lfrig.processing.confidence.model import LEAK, LIMIT, SIGMA_LIMITS_PX, TOLERANCE_PX, ConfidenceModel, Curve
+from lfrig.processing.kernels.perceptron import Layer
 from lfrig.processing.model import F32, F64
 
 HIDDEN = (32, 16)

@@ -130,7 +130,7 @@ def _call(sender: Connection, function: Callable[..., object], args: tuple[objec
         with stopwatch() as watch:
             result = function(*args)
         assert watch.cost is not None
-        sender.send((result, Cost(watch.cost.wall_s, watch.cost.cpu_s, _peak_rss_mb())))
+        sender.send((result, Cost(watch.cost.wall_s, watch.cost.cpu_s, peak_rss_mb())))
     except LfrigError as error:
         sender.send(_Expected(type(error), error.message, error.remedy, error.code))
     except Exception:
@@ -146,7 +146,8 @@ def _cpu_s() -> float:
     )
 
 
-def _peak_rss_mb() -> float:
+def peak_rss_mb() -> float:
+    """The most memory that this process held so far [MiB]."""
     status = Path("/proc/self/status")
     if status.is_file():
         # Not ru_maxrss: on Linux it survives exec, so a process would start with the peak of the one it came from.

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lfrig.processing.geometry import project, projection
-from lfrig.processing.kernels.sgm import aggregate
+from lfrig.processing.kernels.sgm import aggregate, finest_unit
 from lfrig.processing.kernels.warp import warp_views
 from lfrig.processing.model import F32, U8, Camera, LightField, LightFieldRequest, Photo, Pose, Source
 from lfrig.processing.synthesis import fill_nan, view_offsets
@@ -166,7 +166,11 @@ def plane_sweep(
             similarity = zncc(photo, np.asarray(warped, np.float32), settings.window_px)
             each.append(np.where(warped < 0, np.float32(0), similarity))
         cost[..., k] = 1 - np.sort(np.stack(each), axis=0)[-keep:].mean(0)
-    total = aggregate(cost, target.image8, settings.p1, settings.p2, settings.edge_grey, threads=threads)
+    unit = finest_unit(2.0, settings.p1, settings.p2)
+    total = aggregate(
+        np.rint(cost * unit).astype(np.uint16), target.image8, unit * settings.p1, unit * settings.p2,
+        settings.edge_grey, threads=threads,
+    ).astype(np.float32)  # fmt: skip
     return request.disparity(np.asarray(w0 + dw * _parabola(total), np.float32), camera.focal_px)
 
 

@@ -96,8 +96,15 @@ class Agreement:
 
     def tied_groups(self) -> list[list[int]]:
         """Pictures (the photo is N) that near and far things alike tie together, whatever their other ties say."""
+        return self._joined(self._tied())
+
+    def ties_photo(self) -> bool:
+        """Whether some source is tied to the photo, near and far alike."""
+        return bool(self._tied()[:, -1].any())
+
+    def _tied(self) -> NDArray[np.bool_]:
         half = self.half or self
-        return self._joined((half.advantage >= TIED_ADVANTAGE) | (half.share >= TIED_SHARE))
+        return np.asarray((half.advantage >= TIED_ADVANTAGE) | (half.share >= TIED_SHARE), np.bool_)
 
     def _joined(self, linked: NDArray[np.bool_]) -> list[list[int]]:
         """Connected pictures by links [N, N + 1]; a source that cannot be judged is linked to all."""

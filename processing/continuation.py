@@ -18,13 +18,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lfrig.processing.geometry import projection
+from lfrig.processing.kernels.layer_mean import layer_mean
 from lfrig.processing.kernels.plane_fit import local_planes
-from lfrig.processing.match_doubt import excess_cost, layer_mean, local_variance
+from lfrig.processing.kernels.spread import Seeds, spread
+from lfrig.processing.match_doubt import excess_cost, local_variance
 from lfrig.processing.model import F32, U8, Camera, Pose, Source
 from lfrig.processing.plane_fit import Planes
 from lfrig.processing.sources import usual_noise
-from lfrig.processing.visibility import Landing, Mask, contradiction, count_agreeing, land, place
+from lfrig.processing.visibility import Landing, Mask, count_agreeing, half_contradicted, land, way_into
 from lfrig.processing.wide_baseline import WideMatch
 
 WIDTH = 540
@@ -95,24 +96,6 @@ class _Areas:
     trusted: Mask
 
 
-@dataclass(frozen=True)
-class _Seeds:
-    """Planes of M pixels (``x``, ``y``): ``value``, ``slope_x``, ``slope_y`` float32 [M]."""
-
-    x: np.ndarray
-    y: np.ndarray
-    value: F32
-    slope_x: F32
-    slope_y: F32
-
-    def at(self, seed: np.ndarray, x: np.ndarray, y: np.ndarray, reach: float) -> F32:
-        """Values of the planes number ``seed`` at (x, y); slopes are followed up to ``reach`` px."""
-        dx, dy = (x - self.x[seed]).astype(np.float32), (y - self.y[seed]).astype(np.float32)
-        rise = self.slope_x[seed] * dx + self.slope_y[seed] * dy
-        rise *= np.minimum(1, np.float32(reach) / np.maximum(np.hypot(dx, dy), 1))
-        return np.asarray(self.value[seed] + rise, np.float32)
-
-
 def continue_hidden(
     match: WideMatch,
     planes: Planes,
@@ -122,6 +105,8 @@ def continue_hidden(
     photo: U8,
     px_per_inverse: float,
     settings: ContinuationSettings = DEFAULT_CONTINUATION,
+    *,
+    threads: int = 0,
 ) -> tuple[F32, int]:
     """Fill what no source sees.
 
@@ -142,22 +127,29 @@ def continue_hidden(
         Pixels that took over a plane.
     """
     surface = match.inverse_depth
-    landings = [land(surface, source, camera, pose) for source in sources]
+    landings = [land(surface, source, camera, pose, threads=threads) for source in sources]
     noise_sigma = usual_noise(sources)
-    areas = _find_areas(match, landings, photo, noise_sigma, px_per_inverse, settings)
+    areas = _find_areas(match, landings, photo, noise_sigma, px_per_inverse, settings, threads)
     if not areas.mistaken.any():
         return surface, 0
     # Planes are fitted at a distance and travel across the strip between.
     crossed = _grown(areas.mistaken, settings.clearance) & (areas.mistaken | areas.trusted)
     trusted = areas.trusted & ~crossed
-    seeds = _fit_seeds(surface, planes, trusted, _grown(crossed, settings.seeds), photo, px_per_inverse, settings)
-    seed = _spread(seeds, crossed, sources, camera, pose, photo, settings)
+    seeds = _fit_seeds(
+        surface, planes, trusted, _grown(crossed, settings.seeds), photo, px_per_inverse, settings, threads
+    )
+    seed = spread(
+        seeds, crossed, photo, [way_into(source, camera, pose) for source in sources], step_grey=settings.step_grey,
+        reach=settings.slope_reach, most_ahead=half_contradicted(settings.contradiction_px), longest=settings.longest,
+    )  # fmt: skip
     ys, xs = np.nonzero(areas.mistaken & (seed >= 0))
     out = surface.copy()
     out[ys, xs] = seeds.at(seed[ys, xs], xs, ys, settings.slope_reach)
     # Doubt about a pixel that a source sees is settled only by a place where none does.
     seen = _most(landings, settings.margin_px) > 0.5
-    still_seen = _most([land(out, source, camera, pose) for source in sources], settings.margin_px) > 0.5
+    still_seen = (
+        _most([land(out, source, camera, pose, threads=threads) for source in sources], settings.margin_px) > 0.5
+    )
     out = np.where(seen & still_seen, surface, out)
     px = px_per_inverse * max(1.0, WIDTH / photo.shape[1])
     out = surface + np.clip(out - surface, -settings.farther_px / px, settings.nearer_px / px, dtype=np.float32)
@@ -171,23 +163,25 @@ def _find_areas(
     noise_sigma: float,
     px_per_inverse: float,
     settings: ContinuationSettings,
+    threads: int,
 ) -> _Areas:
     import cv2
 
     hidden = _most(landings, settings.margin_px) < 0.5
     agreeing = count_agreeing(landings, settings.agree_px)
-    # What floats before a source's surface is mistaken, but not because it is hidden.
-    floating = np.zeros_like(hidden)
-    for landing in landings:
-        floating |= landing.inside & (landing.contradicted(settings.contradiction_px) > 0.5)
-    cost = layer_mean(match.cost, match.inverse_depth, settings.layer_px / px_per_inverse, settings.window)
-    cost = excess_cost(cost, local_variance(photo, settings.window), noise_sigma)
-    doubtful = (cost > settings.doubt_cost) & (agreeing < settings.enough)
-    mistaken = ((agreeing == 0) | doubtful) & ~floating
     square = np.ones((settings.least_area, settings.least_area), np.uint8)
     core = cv2.morphologyEx(hidden.astype(np.uint8), cv2.MORPH_OPEN, square) > 0
     if not core.any():
         return _Areas(np.zeros_like(hidden), agreeing > 0)
+    # What floats before a source's surface is mistaken, but not because it is hidden.
+    floating = np.zeros_like(hidden)
+    for landing in landings:
+        floating |= landing.inside & (landing.contradicted(settings.contradiction_px) > 0.5)
+    sigma = settings.layer_px / px_per_inverse
+    cost = layer_mean(match.cost, match.inverse_depth, sigma=sigma, window=settings.window, threads=threads)
+    cost = excess_cost(cost, local_variance(photo, settings.window), noise_sigma)
+    doubtful = (cost > settings.doubt_cost) & (agreeing < settings.enough)
+    mistaken = ((agreeing == 0) | doubtful) & ~floating
     distance = cv2.distanceTransform((~core).astype(np.uint8), cv2.DIST_L2, 5)
     joined = _joined(mistaken | core, core) & (distance < settings.rim)
     return _Areas(joined, (agreeing > 0) & (cost <= settings.trust_cost))
@@ -201,81 +195,18 @@ def _fit_seeds(
     photo: U8,
     px_per_inverse: float,
     settings: ContinuationSettings,
-) -> _Seeds:
+    threads: int,
+) -> Seeds:
     """Planes through the trusted pixels of ``near``, from trusted pixels alone."""
     at = trusted & near
     value, slope_x, slope_y, support = local_planes(
         surface, trusted.astype(np.float32), photo, at, radius=settings.radius, stride=settings.stride,
         sigma_value=settings.sigma_px / px_per_inverse, sigma_grey=settings.sigma_grey, ridge=settings.ridge,
-        slopes=(planes.slope_x, planes.slope_y),
+        slopes=(planes.slope_x, planes.slope_y), threads=threads,
     )  # fmt: skip
     ys, xs = np.nonzero(at)
     good = support > settings.least_support
-    return _Seeds(xs[good], ys[good], value[good], slope_x[good], slope_y[good])
-
-
-NEIGHBOURS = ((0, 1), (1, 0), (0, -1), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1))
-
-
-def _spread(
-    seeds: _Seeds,
-    domain: Mask,
-    sources: Sequence[Source],
-    camera: Camera,
-    pose: Pose,
-    photo: U8,
-    settings: ContinuationSettings,
-) -> np.ndarray:
-    """Number of the seed that each pixel of the domain takes over, int32 [H, W]; −1 = none.
-
-    Shortest paths from all seeds at once (Bellman–Ford over the pixels that changed last); a path ends where its
-    plane floats before what a source sees.
-    """
-    height, width = domain.shape
-    colour = photo.astype(np.float32)
-    seed = np.full(domain.shape, -1, np.int32)
-    length = np.full(domain.shape, np.inf, np.float32)
-    seed[seeds.y, seeds.x] = np.arange(len(seeds.x))
-    length[seeds.y, seeds.x] = 0
-    ways = [projection(camera, pose, source.camera, source.pose) for source in sources]
-    ys, xs = seeds.y, seeds.x
-    for _ in range(settings.longest):
-        changed = np.zeros_like(domain)
-        for dy, dx in NEIGHBOURS:
-            y, x = ys + dy, xs + dx
-            inside = (y >= 0) & (y < height) & (x >= 0) & (x < width)
-            inside[inside] = domain[y[inside], x[inside]]
-            y, x, y0, x0 = y[inside], x[inside], ys[inside], xs[inside]
-            rough = np.abs(colour[y, x] - colour[y0, x0]).sum(1) / np.float32(settings.step_grey)
-            proposed = length[y0, x0] + np.float32(np.hypot(dy, dx)) * (1 + rough)
-            better = proposed < length[y, x] - np.float32(1e-4)
-            y, x, proposed, source_seed = y[better], x[better], proposed[better], seed[y0, x0][better]
-            value = seeds.at(source_seed, x, y, settings.slope_reach)
-            free = ~_floats(value, x, y, sources, ways, settings.contradiction_px)
-            y, x = y[free], x[free]
-            length[y, x], seed[y, x], changed[y, x] = proposed[free], source_seed[free], True
-        ys, xs = np.nonzero(changed)
-        if not len(ys):
-            break
-    return seed
-
-
-def _floats(
-    value: F32,
-    x: np.ndarray,
-    y: np.ndarray,
-    sources: Sequence[Source],
-    ways: Sequence[tuple[np.ndarray, np.ndarray]],
-    margin_px: float,
-) -> Mask:
-    """Whether points [M] of inverse depth ``value`` lie before the surface that any source sees there."""
-    floats = np.zeros(len(value), bool)
-    for source, way in zip(sources, ways, strict=True):
-        u, v, w, inside = place(way, source.camera, x.astype(np.float32), y.astype(np.float32), value)
-        iu, iv = np.rint(u[inside]).astype(np.int64), np.rint(v[inside]).astype(np.int64)
-        ahead = source.evidence.disparity[iv, iu] - source.scale.disparity(w[inside])
-        floats[inside] |= contradiction(ahead, margin_px) > 0.5
-    return floats
+    return Seeds(xs[good], ys[good], value[good], slope_x[good], slope_y[good])
 
 
 def _most(landings: Sequence[Landing], margin_px: float) -> F32:

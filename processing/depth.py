@@ -7,9 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from lfrig.contracts.progress import Monitor
-from lfrig.processing.dpv import DEFAULT_DPV, DpvSettings, auto_range, light_field_evidence
+from lfrig.processing.dpv import DEFAULT_DPV, DpvSettings, auto_range, light_field_evidence, refuse_constant
+from lfrig.processing.matching_views import matching_views
 from lfrig.processing.model import F32, Evidence, LightField
 from lfrig.processing.refine import DEFAULT_REFINE, RefineSettings, smooth, snap_to_edges
+from lfrig.processing.skipping import SKIP_ALL, Skips, Tally
 
 
 @dataclass(frozen=True)
@@ -31,6 +33,8 @@ def estimate_disparity(
     settings: DpvSettings = DEFAULT_DPV,
     *,
     refine: RefineSettings = DEFAULT_REFINE,
+    skips: Skips = SKIP_ALL,
+    tally: Tally | None = None,
     threads: int = 0,
     monitor: Monitor | None = None,
 ) -> DepthMap:
@@ -45,9 +49,13 @@ def estimate_disparity(
     """
     monitor = monitor or Monitor()
     with monitor.task("disparity", 3):
-        found = disparity_range or auto_range(light_field, threads=threads)
+        refuse_constant(light_field)
+        views = matching_views(light_field, settings.clipped_blur_px, threads=threads)
+        found = disparity_range or auto_range(light_field, views=views, skips=skips, threads=threads)
         monitor.advance()
-        evidence = light_field_evidence(light_field, found, settings, threads=threads, monitor=monitor)
+        evidence = light_field_evidence(
+            light_field, found, settings, views=views, skips=skips, tally=tally, threads=threads, monitor=monitor
+        )
         monitor.advance()
         disparity, picture = evidence.disparity, np.ascontiguousarray(light_field.centre_view)
         if refine.smooth:

@@ -8,14 +8,21 @@ colour decide alike.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from lfrig.processing.kernels.edge_cost import EdgeRules, EdgeView, edge_cost
+from lfrig.processing.kernels.landing import Way, land_points
 from lfrig.processing.model import F32, U8, Camera, Pose, Source
-from lfrig.processing.tone import blurred, fit_tone
-from lfrig.processing.visibility import Landing, Mask, land
+from lfrig.processing.skipping import SKIP_ALL, Skips, Tally
+from lfrig.processing.tone import Tone, blurred, fit_tone
+from lfrig.processing.visibility import Landing, Mask, way_into
+
+TONE_SAMPLES = 8_000
+"""About how many pixels of the photo the sources' tones are fitted to."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +45,11 @@ class EdgeSettings:
     guide_radius: int = 3
     guide_eps: float = 40.0
 
+    @property
+    def rules(self) -> EdgeRules:
+        """As the kernel takes them."""
+        return EdgeRules(self.cap_grey, self.contradiction_grey, self.contradiction_px, self.margin_px)
+
 
 DEFAULT_EDGES = EdgeSettings()
 
@@ -50,6 +62,10 @@ def decide_edges(
     photo: U8,
     px_per_inverse: float,
     settings: EdgeSettings = DEFAULT_EDGES,
+    *,
+    skips: Skips = SKIP_ALL,
+    tally: Tally | None = None,
+    threads: int = 0,
 ) -> tuple[F32, int]:
     """Decide near or far at every pixel close to a depth step.
 
@@ -72,9 +88,15 @@ def decide_edges(
     if not tested.any():
         return inverse_depth, 0
     own = blurred(photo, settings.blur_px)
-    near_cost, far_cost = _colour_costs((near_value, far_value), inverse_depth, sources, camera, pose, own, settings)
-    preference = far_cost - near_cost + settings.inertia_grey * np.where(is_near, 1, -1)
-    preference = np.asarray(np.where(tested, preference, 0), np.float32)
+    views = _views(inverse_depth, sources, camera, pose, own, settings)
+    start = time.process_time()
+    at = tested if skips.certain else np.ones_like(tested)
+    preference = edge_cost(near_value, far_value, at, own, views, settings.rules, threads=threads)
+    if tally is not None:
+        done = int(at.sum())
+        tally.add("certain", done, at.size - done, "pixels near edges", time.process_time() - start)
+    preference += np.float32(settings.inertia_grey) * np.where(is_near, np.float32(1), np.float32(-1))
+    preference[~tested] = 0
     decided = cv2.ximgproc.guidedFilter(
         np.ascontiguousarray(photo), preference, settings.guide_radius, settings.guide_eps
     )
@@ -112,37 +134,24 @@ def _nearest_value(values: F32, where: Mask) -> F32:
     return np.asarray(table[labels], np.float32)
 
 
-def _colour_costs(
-    hypotheses: Sequence[F32],
-    current: F32,
-    sources: Sequence[Source],
-    camera: Camera,
-    pose: Pose,
-    photo: F32,
-    settings: EdgeSettings,
-) -> list[F32]:
-    """For each hypothesis the mean capped colour difference [grey levels] over the sources that see it, [H, W]."""
-    total = [np.zeros_like(current) for _ in hypotheses]
-    mass = [np.zeros_like(current) for _ in hypotheses]
+def _views(
+    current: F32, sources: Sequence[Source], camera: Camera, pose: Pose, photo: F32, settings: EdgeSettings
+) -> list[EdgeView]:
+    """The sources' centre views, blurred and in the photo's tone."""
+    views = []
     for source in sources:
-        image = blurred(source.light_field.centre_view, settings.blur_px)
-        colour, seen = _look(image, land(current, source, camera, pose), settings)
-        tone = fit_tone(photo, colour, seen > 0.5)
-        for k, hypothesis in enumerate(hypotheses):
-            landing = land(hypothesis, source, camera, pose)
-            colour, seen = _look(image, landing, settings)
-            difference = np.abs(photo - tone.apply(colour)).mean(2)
-            difference += settings.contradiction_grey * landing.contradicted(settings.contradiction_px)
-            total[k] += seen * np.minimum(difference, np.float32(settings.cap_grey))
-            mass[k] += seen
-    # Where nobody looks, nothing speaks for or against.
-    unknown = np.float32(0.5 * settings.cap_grey)
-    return [np.where(m > 0.05, t / np.maximum(m, 0.05), unknown) for t, m in zip(total, mass, strict=True)]
+        way = way_into(source, camera, pose)
+        picture = blurred(source.light_field.centre_view, settings.blur_px)
+        views.append(EdgeView(way, _tone(current, way, photo, picture, settings).apply(picture)))
+    return views
 
 
-def _look(image: F32, landing: Landing, settings: EdgeSettings) -> tuple[F32, F32]:
-    """Colour float32 [H, W, 3] that a source shows where points land, and how far it sees them there, 0..1 [H, W]."""
+def _tone(current: F32, way: Way, photo: F32, picture: F32, settings: EdgeSettings) -> Tone:
+    """Of a source, from about `TONE_SAMPLES` pixels of the surface as it is."""
     import cv2
 
-    colour = cv2.remap(image, landing.u, landing.v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(colour), landing.visible(settings.margin_px)
+    stride = max(1, int((current.size / TONE_SAMPLES) ** 0.5))
+    ys, xs = (part[::stride, ::stride].astype(np.float32) for part in np.mgrid[: current.shape[0], : current.shape[1]])
+    landing = Landing(*land_points(way, xs, ys, current[::stride, ::stride]))
+    colour = cv2.remap(picture, landing.u, landing.v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return fit_tone(photo[::stride, ::stride], np.asarray(colour), landing.visible(settings.margin_px) > 0.5)

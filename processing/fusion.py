@@ -2,26 +2,36 @@
 
 Each target voxel (x, y, w_k) is looked up in every source by the exact projective map (`kernels/fusion.py`). Evidence
 is pooled as a floored log-opinion pool with a visibility test against each source's own surface, and planes behind
-strong nearer evidence are lowered (first-surface rule). The photo's colours, compared with the sources' at every voxel,
-refute rays that would end in empty space or behind a surface. The switches reach the paper's printed form: ``mapping
-"literal"`` (target plane taken for the source's) and ``pool "mean"``.
+strong nearer evidence are lowered (first-surface rule). The photo's colours, compared with the sources' at every voxel
+that the light fields leave in play, refute rays that would end in empty space or behind a surface. The switches reach
+the paper's printed form: ``mapping "literal"`` (target plane taken for the source's) and ``pool "mean"``.
 """
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from lfrig.contracts.errors import GeometryRefused
 from lfrig.contracts.progress import Monitor
 from lfrig.processing.geometry import project, projection
-from lfrig.processing.kernels.colour_evidence import ColourTerm, add_colour_evidence
-from lfrig.processing.kernels.fusion import Pool, add_evidence, first_surface
+from lfrig.processing.kernels.fusion import (
+    U16,
+    ColourTerm,
+    CostScale,
+    Pool,
+    SourceVolume,
+    SurfaceRule,
+    fuse_volume,
+)
+from lfrig.processing.kernels.occupancy import occupancy
 from lfrig.processing.model import F32, U8, Camera, Pose, Source
+from lfrig.processing.skipping import SKIP_ALL, Skips, Tally
 from lfrig.processing.sources import usual_noise, usual_slope
-from lfrig.processing.tone import Tone, blurred, fit_tone, saturation
+from lfrig.processing.tone import fit_tone, marked
 from lfrig.processing.visibility import carry
 
 
@@ -54,10 +64,19 @@ class FusionSettings:
     the weight falls with its square: a texture that repeats would win."""
     colour_sigma_grey: float = 10.0
     colour_cap: float = 3.0
+    colour_reach: float = 6.0
+    """Colours are compared at voxels whose evidence lies no further than this below their ray's best: what the light
+    fields refute needs no second opinion. [log evidence]"""
     colour_unknown: float = 1.0
     """What a voxel is charged that no source shows: less than a clear mismatch, more than a match."""
     colour_blur_px: float = 1.2
     """Planes are 2–3 px apart in a source 15–20° away: finer detail would fall between them."""
+    level_share: float = 0.5
+    """Probability counts as none below this share of the floor."""
+    cost_unit: float = 1 / 117
+    """Log evidence per count of the volume."""
+    cost_cap: float = 20.0
+    """What the volume's costs are capped at [log evidence]."""
     min_overlap: float = 0.02
     """Refuse when fewer of the target's pixels than this share lie in any source's frame."""
 
@@ -67,15 +86,33 @@ DEFAULT_FUSION = FusionSettings()
 
 @dataclass(frozen=True)
 class FusedVolume:
-    """``evidence`` float32 [H, W, N], log scale for the log pool, probability for the mean pool; ``planes`` (w0, dw)
-    in 1/m, nearer last; ``inside`` and ``voxels`` count (voxel, source) pairs inside the sources' frames and in all.
+    """``cost`` uint16 [H, W, N]: how far each plane's log evidence lies below that of the ray's best plane, in units of
+    ``unit``, capped; ``best`` float32 [H, W]: log evidence of that plane; ``planes`` (w0, dw) in 1/m, nearer last;
+    ``inside`` and ``voxels`` count (voxel, source) pairs inside the sources' frames and in all.
     """
 
-    evidence: F32
+    cost: U16
+    best: F32
+    unit: float
     planes: tuple[float, float]
-    is_log: bool
     inside: int
     voxels: int
+    cap: float = np.inf
+    """What costs are capped at [log evidence]."""
+
+    @classmethod
+    def of_evidence(cls, evidence: F32, planes: tuple[float, float], unit: float = 1 / 1024) -> FusedVolume:
+        """The volume of given log evidence [H, W, N]."""
+        best = evidence.max(2)
+        cost = np.minimum(np.rint((best[..., None] - evidence) / np.float32(unit)), 65535).astype(np.uint16)
+        return cls(cost, best, unit, planes, 0, evidence.size)
+
+    @property
+    def evidence(self) -> F32:
+        """Log evidence float32 [H, W, N]; made anew at each use, twice the size of ``cost``."""
+        evidence = self.cost * np.float32(-self.unit)
+        evidence += self.best[..., None]
+        return evidence
 
 
 def fuse(
@@ -88,6 +125,8 @@ def fuse(
     photo: U8 | None = None,
     threads: int = 0,
     monitor: Monitor | None = None,
+    skips: Skips = SKIP_ALL,
+    tally: Tally | None = None,
 ) -> FusedVolume:
     """Fuse the sources' evidence in the frustum of the camera ``camera`` at ``pose``.
 
@@ -105,83 +144,100 @@ def fuse(
     dw = (w1 - w0) / (settings.planes - 1)
     shape = (camera.height, camera.width, settings.planes)
     log_pool = settings.pool == "log"
-    pool = Pool(log_pool, settings.visibility, settings.mapping == "literal", settings.floor_share)
-    volume = np.zeros(shape, np.float32)
-    mass = None if log_pool else np.zeros(shape, np.float32)
-    inside = 0
+    margin = settings.margin_px if settings.visibility else None
+    pool = Pool(log_pool, settings.mapping == "literal", settings.floor_share, margin)
+    level = int(65535 * settings.level_share * settings.floor_share / settings.planes)
+    ready = []
     for source in sources:
-        matrix, offset = projection(camera, pose, source.camera, source.pose)
-        inside += add_evidence(
-            volume, mass, source.evidence, source.scale, matrix, offset, (w0, dw), pool,
-            margin_px=settings.margin_px, threads=threads, monitor=monitor,
-        )  # fmt: skip
+        tables = occupancy(source.evidence.probability, source.evidence.disparity, level, threads=threads)
+        way = projection(camera, pose, source.camera, source.pose)
+        ready.append(SourceVolume(source.evidence, source.scale, way, tables))
         if monitor:
             monitor.advance()
-    if inside < settings.min_overlap * volume.size:
+    colour = with_mask = None
+    if log_pool and settings.colour and photo is not None:
+        rough = _rough_surface(ready, shape, (w0, dw), pool, threads)
+        with_mask = marked(photo, settings.colour_blur_px)
+        ready = _with_colours(ready, sources, with_mask, rough, (camera, pose), settings)
+        colour = _colour_term(sources, dw, settings)
+    rule = SurfaceRule(
+        _gap_planes(sources, dw, settings), settings.surface_tau, settings.surface_beta, settings.surface_cap
+    )
+    start = time.process_time()
+    fused = fuse_volume(
+        ready, shape, (w0, dw), pool, photo=with_mask, colour=colour,
+        surface=rule if log_pool and settings.first_surface else None,
+        scale=CostScale(settings.cost_unit, settings.cost_cap),
+        skip_bricks=skips.bricks, skip_sources=skips.sources, threads=threads,
+    )  # fmt: skip
+    if tally is not None:
+        spent_s = time.process_time() - start
+        tally.add("bricks", fused.sampled, fused.empty, "bricks", spent_s)
+        tally.add("sources", fused.sampled, fused.unseen, "bricks", spent_s)
+    voxels = shape[0] * shape[1] * shape[2]
+    if fused.inside < settings.min_overlap * voxels:
         raise GeometryRefused(
             "the sources do not see what the target photo sees",
             code="no-overlap",
             remedy="choose sources nearer to the target's direction, or check the poses",
         )
-    if mass is not None:
-        volume /= np.maximum(mass, np.float32(1e-6))
-    elif settings.colour and photo is not None:
-        _add_colours(volume, photo, sources, (camera, pose), (w0, dw), settings, threads)
-    if log_pool and settings.first_surface:
-        neutral = -len(sources) * float(np.log(settings.planes))
-        first_surface(
-            volume, neutral, _gap_planes(sources, dw, settings), settings.surface_tau, settings.surface_beta,
-            settings.surface_cap, threads=threads,
-        )  # fmt: skip
-    return FusedVolume(volume, (w0, dw), log_pool, inside, volume.size * len(sources))
-
-
-def _add_colours(
-    volume: F32,
-    photo: U8,
-    sources: Sequence[Source],
-    target: tuple[Camera, Pose],
-    planes: tuple[float, float],
-    settings: FusionSettings,
-    threads: int,
-) -> None:
-    """Add what the colours of the photo and of every source's centre view say, in place."""
-    noise = usual_noise(sources)
-    weight = settings.colour_weight / (1 + settings.colour_noise_share * noise)
-    weight *= min(1.0, _plane_px(sources, planes[1]) / settings.colour_plane_px) ** 2
-    term = ColourTerm(
-        weight, settings.colour_sigma_grey, settings.colour_cap, settings.colour_unknown, settings.margin_px
+    return FusedVolume(
+        fused.cost, fused.best, settings.cost_unit, (w0, dw), fused.inside, voxels * len(sources), settings.cost_cap
     )
-    blur = settings.colour_blur_px
-    own = blurred(photo, blur)
-    rough = np.asarray(planes[0] + planes[1] * volume[::TONE_STRIDE, ::TONE_STRIDE].argmax(2), np.float32)
-    with_mask = np.dstack([own, saturation(photo, blur)])
-    for source in sources:
-        view = source.light_field.centre_view
-        colour = blurred(view, blur)
-        tone = _tone_at(rough, own, colour, source, target)
-        image = np.dstack([tone.apply(colour), saturation(view, blur)])
-        add_colour_evidence(
-            volume, with_mask, image, source.evidence.disparity, source.scale,
-            projection(*target, source.camera, source.pose), planes, term, threads=threads,
-        )  # fmt: skip
 
 
-TONE_STRIDE = 3
+TONE_STRIDE = 8
+"""The colours' tone is fitted on every this many pixels."""
 
 
-def _tone_at(rough: F32, own: F32, colour: F32, source: Source, target: tuple[Camera, Pose]) -> Tone:
-    """Tone of a source from its colours at a rough surface [1/m] on every `TONE_STRIDE`-th pixel."""
+def _rough_surface(
+    sources: Sequence[SourceVolume],
+    shape: tuple[int, int, int],
+    planes: tuple[float, float],
+    pool: Pool,
+    threads: int,
+) -> F32:
+    """Inverse depth [1/m] of the light fields' best plane on every `TONE_STRIDE`-th pixel."""
+    wider = np.diag([TONE_STRIDE, TONE_STRIDE, 1.0])
+    sparse = [replace(s, projection=(s.projection[0] @ wider, s.projection[1])) for s in sources]
+    height, width = (-(-n // TONE_STRIDE) for n in shape[:2])
+    cost = fuse_volume(sparse, (height, width, shape[2]), planes, pool, threads=threads).cost
+    return np.asarray(planes[0] + planes[1] * cost.argmin(2), np.float32)
+
+
+def _with_colours(
+    ready: Sequence[SourceVolume],
+    sources: Sequence[Source],
+    photo: U8,
+    rough: F32,
+    target: tuple[Camera, Pose],
+    settings: FusionSettings,
+) -> list[SourceVolume]:
+    """The sources with their centre views in the tone of the photo, uint8 [H, W, 4] as from `marked`."""
     import cv2
 
-    u, v, _, inside = carry(rough, source, *target, stride=TONE_STRIDE)
-    found = cv2.remap(colour, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return fit_tone(own[::TONE_STRIDE, ::TONE_STRIDE], np.asarray(found, np.float32), inside)
+    own = photo[::TONE_STRIDE, ::TONE_STRIDE, :3].astype(np.float32)
+    found = []
+    for volume, source in zip(ready, sources, strict=True):
+        image = marked(source.light_field.centre_view, settings.colour_blur_px)
+        u, v, _, inside = carry(rough, source, *target, stride=TONE_STRIDE)
+        seen = cv2.remap(image, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        tone = fit_tone(own, seen[..., :3].astype(np.float32), inside)
+        found.append(replace(volume, colour=tone.apply_marked(image)))
+    return found
+
+
+def _colour_term(sources: Sequence[Source], dw: float, settings: FusionSettings) -> ColourTerm:
+    weight = settings.colour_weight / (1 + settings.colour_noise_share * usual_noise(sources))
+    weight *= min(1.0, _plane_px(sources, dw) / settings.colour_plane_px) ** 2
+    return ColourTerm(
+        weight, settings.colour_sigma_grey, settings.colour_cap, settings.colour_unknown, settings.colour_reach
+    )
 
 
 def _gap_planes(sources: Sequence[Source], dw: float, settings: FusionSettings) -> int:
     """``surface_gap_px`` in planes: the width of a peak is a matter of the sources' pixels, whatever the planes are."""
-    return int(np.clip(round(settings.surface_gap_px / _plane_px(sources, dw)), 1, settings.planes - 1))
+    return max(1, min(round(settings.surface_gap_px / _plane_px(sources, dw)), settings.planes - 1))
 
 
 def _plane_px(sources: Sequence[Source], dw: float) -> float:

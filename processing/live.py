@@ -21,6 +21,7 @@ from lfrig.processing.model import Evidence, Image, LightField, Photo, Pose, Rig
 from lfrig.processing.options import ProcessOptions, check_options
 from lfrig.processing.pipeline import locate, synthesize, wanted_light_field
 from lfrig.processing.plate import crop_photo, crop_to_plate, paste_surface, photo_box, uncrop_camera
+from lfrig.processing.poses import PoseWork
 from lfrig.processing.prepare import find_evidence, metric_depth_range
 from lfrig.processing.reconstruct import Target, reconstruct
 from lfrig.processing.resolution import scale_light_field, scale_photo
@@ -74,6 +75,7 @@ class LiveFusion:
         self.options = options or ProcessOptions(preset="preview")
         check_options(self.options)
         self._lock = threading.Lock()
+        self._work = PoseWork()
         self._shots: dict[str, _Shot] = {}
         self._target: Photo | None = None
         self._view: LiveView | None = None
@@ -200,7 +202,7 @@ class LiveFusion:
         evidence = [shot.evidence for shot in shots.values()]
         box = photo_box(target, self.prior) if options.knobs.skips.plate else None
         shown = crop_photo(target, box)
-        solution, sources = locate(light_fields, shown, evidence, self.prior, options, clock)
+        solution, sources = locate(light_fields, shown, evidence, self.prior, options, clock, self._work)
         camera, pose = solution.target_camera, solution.target_pose
         request = wanted_light_field(options, sources, pose)
         surface = reconstruct(

@@ -9,21 +9,6 @@ from lfrig.processing.tone import luma
 from lfrig.processing.wide_baseline import DEFAULT_WIDE_BASELINE, LUMA_NOISE
 
 
-def layer_mean(cost: F32, surface: F32, sigma: float, window: int) -> F32:
-    """Mean cost over every other pixel of a window, of those at about the same inverse depth, float32 [H, W]."""
-    height, width = cost.shape
-    reach = window // 2
-    padded_cost, padded_surface = (np.pad(part, reach, mode="edge") for part in (cost, surface))
-    total, mass = np.zeros_like(cost), np.zeros_like(cost)
-    for dy in range(0, window, 2):
-        for dx in range(0, window, 2):
-            there = (slice(dy, dy + height), slice(dx, dx + width))
-            weight = np.exp(-(((padded_surface[there] - surface) / np.float32(sigma)) ** 2))
-            total += weight * padded_cost[there]
-            mass += weight
-    return np.asarray(total / np.maximum(mass, np.float32(1e-6)), np.float32)
-
-
 def excess_cost(cost: F32, variance: F32, noise_sigma: float) -> F32:
     """By how much a match is poorer than noise and rounding explain, 0..1 float32 [H, W]; 0 where they explain half.
 

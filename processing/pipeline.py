@@ -33,7 +33,7 @@ from lfrig.processing.model import (
 )
 from lfrig.processing.options import ProcessOptions, check_options
 from lfrig.processing.plate import crop_photo, crop_to_plate, paste_surface, photo_box, uncrop_camera
-from lfrig.processing.poses import PoseSolution, solve_poses
+from lfrig.processing.poses import PoseSolution, PoseWork, solve_poses
 from lfrig.processing.prepare import find_evidence, fit_sources, metric_depth_range
 from lfrig.processing.reconstruct import Target, reconstruct
 from lfrig.processing.resolution import scale_light_field, scale_photo, scale_surface
@@ -162,8 +162,11 @@ def locate(
     prior: RigPrior,
     options: ProcessOptions,
     clock: StageClock,
+    work: PoseWork | None = None,
 ) -> tuple[PoseSolution, list[Source]]:
     """Where everything stands, and to what scale: the stages ``poses`` and ``scale-fit``.
+
+    ``work`` remembers what earlier calls found out about the same captures.
 
     Raises
     ------
@@ -172,11 +175,12 @@ def locate(
     """
     monitor = clock.monitor
     with clock.stage("poses", None) as note:
-        warn_of_defocus(light_fields, monitor)
-        warn_of_still_background(light_fields, monitor)
+        warn_of_defocus(light_fields, monitor, work)
+        warn_of_still_background(light_fields, monitor, work)
         solution = solve_poses(
-            light_fields, evidence, photo, prior, options.poses, threads=options.threads, monitor=monitor
-        )
+            light_fields, evidence, photo, prior, options.poses, work=work, skips=options.knobs.skips,
+            tally=note.tally, threads=options.threads, monitor=monitor,
+        )  # fmt: skip
         note.done(sum(len(a) for a in solution.anchors), "anchors")
     with clock.stage("scale-fit", len(light_fields)) as note:
         ready = fit_sources(light_fields, evidence, solution, options.knobs, monitor)
@@ -194,12 +198,13 @@ def synthesize(
     clock: StageClock,
 ) -> SynthesizedLightField:
     """The views of a photo with a known surface of its size: the stage ``synthesis``."""
-    settings = options.knobs.synthesis
+    knobs = options.knobs
     with clock.stage("synthesis", request.rows * request.cols) as note:
         disparity = request.disparity(surface.inverse_depth, camera.focal_px)
         views = render_views(
-            image, disparity, request.rows, request.cols, method=settings.method, settings=settings,
-            threads=options.threads, monitor=clock.monitor,
+            image, disparity, request.rows, request.cols, method=knobs.synthesis.method,
+            settings=knobs.synthesis, skips=knobs.skips, tally=note.tally, threads=options.threads,
+            monitor=clock.monitor,
         )  # fmt: skip
         note.done(request.rows * request.cols - 1, "views")
     return SynthesizedLightField(views, disparity, surface, request, camera)

@@ -19,9 +19,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lfrig.processing.model import F32, F64
+from lfrig.processing.kernels.grey import SCALE, GreyViews, as_grey
+from lfrig.processing.kernels.plain_cost import blend_plain, view_moments
+from lfrig.processing.kernels.plane_cost import COST_UNIT, PlaneGrid
+from lfrig.processing.model import F32
 from lfrig.processing.patch import slopes
 from lfrig.processing.tone import blurred
+
+I16 = NDArray[np.int16]
+U16 = NDArray[np.uint16]
 
 
 @dataclass(frozen=True)
@@ -66,37 +72,34 @@ class PlainAreas:
     precision: F32
     weight: F32
 
+    def halved(self) -> PlainAreas:
+        """On views of half size, in their pixels."""
+        height, width = (max(1, n // 2) for n in self.weight.shape)
+        parts = (self.disparity * np.float32(0.5), self.precision * np.float32(4), self.weight)
+        return PlainAreas(*(np.ascontiguousarray(part[::2, ::2][:height, :width], np.float32) for part in parts))
+
 
 def find_plain_areas(
-    grey: NDArray[np.int16], centre: NDArray[np.int16], offsets: F64, noise: float, settings: PlainSettings
+    views: GreyViews, half: GreyViews, noise: float, settings: PlainSettings, *, threads: int = 0
 ) -> PlainAreas:
     """Solve the gradient constraint at every pixel, and say where it may be trusted.
 
     Parameters
     ----------
-    grey : int16 [V, H, W]
-        Views without the centre, grey × 64.
-    centre : int16 [H, W]
-    offsets : float64 [V, 2]
-        (dr, dc) of the views.
+    views, half : GreyViews
+        The views, and the same at half size.
     noise : float
         Standard deviation of the views' noise [grey levels].
     """
-    import cv2
-
-    own: F32 = np.asarray(centre / np.float32(64), np.float32)
+    own = as_grey(views.images[views.centre])
+    weight = _plainness(own, noise, settings)
+    if not weight.any():
+        return PlainAreas(np.zeros_like(own), np.zeros_like(own), weight)
     swell = 1 + settings.growth * noise
     blur, window = swell * settings.blur_px, swell * settings.window_px
-    soft = blurred(own, blur)
-    gx, gy = slopes(soft)
-    by_row, by_column = np.zeros_like(own), np.zeros_like(own)
-    power = np.zeros_like(_half(own))
-    for (dr, dc), view in zip(offsets, grey, strict=True):
-        difference: F32 = np.asarray(view / np.float32(64) - own, np.float32)
-        by_row += np.float32(dr) * difference
-        by_column += np.float32(dc) * difference
-        power += blurred(_half(difference), blur / 2) ** 2
-    by_row, by_column = blurred(by_row, blur), blurred(by_column, blur)
+    gx, gy = slopes(blurred(own, blur))
+    by_row, by_column = (blurred(sums, blur) for sums in view_moments(views, threads=threads))
+    offsets = views.offsets[views.others()]
     rows, columns = (float((offsets[:, i] ** 2).sum()) for i in (0, 1))
     cross = float((offsets[:, 0] * offsets[:, 1]).sum())
     numerator = blurred(gx * by_column + gy * by_row, window)
@@ -104,29 +107,54 @@ def find_plain_areas(
     disparity: F32 = np.asarray(numerator / np.maximum(denominator, np.float32(1e-9)), np.float32)
     sigma2 = settings.noise_grey**2 + (NOISE_THROUGH_BLUR * 2 / blur * noise) ** 2
     precision: F32 = np.asarray(denominator * np.float32(settings.gain / sigma2), np.float32)
-    total = cv2.resize(blurred(power, window / 2), own.shape[::-1], interpolation=cv2.INTER_LINEAR)
-    left: F32 = np.asarray((total - disparity**2 * denominator) / np.float32(len(grey)), np.float32)
-    fits = np.clip(2 - left / np.float32(2 * settings.misfit * sigma2), 0, 1)
+    total = _at_full_size(blurred(_difference_power(half, blur / 2), window / 2), own.shape)
+    left: F32 = np.asarray((total - disparity**2 * denominator) / np.float32(len(offsets)), np.float32)
+    weight *= np.clip(2 - left / np.float32(2 * settings.misfit * sigma2), 0, 1)
     shift = np.abs(disparity) * np.float32(np.abs(offsets).max() / (settings.reach * blur))
-    fits *= np.clip(2 - shift, 0, 1)
-    return PlainAreas(disparity, precision, np.asarray(fits * _plainness(own, noise, settings), np.float32))
+    weight *= np.clip(2 - shift, 0, 1)
+    return PlainAreas(disparity, precision, weight)
 
 
 def blend_plain_cost(
-    cost: F32, plain: PlainAreas, first: float, step: float, inverse_temperature: float, cap: float
+    cost: U16,
+    grid: PlaneGrid,
+    plain: PlainAreas,
+    inverse_temperature: float,
+    cap_grey: float,
+    *,
+    span: I16 | None = None,
+    threads: int = 0,
 ) -> None:
-    """Replace the cost of plain pixels, in place: float32 [H, W, D], grey levels; planes ``first + step·k``."""
-    ys, xs = np.nonzero(plain.weight > 0)
-    planes = np.float32(first) + np.float32(step) * np.arange(cost.shape[2], dtype=np.float32)
-    rows = 65536
-    for i in range(0, len(ys), rows):
-        at = ys[i : i + rows], xs[i : i + rows]
-        away = (planes - plain.disparity[at][:, None]) ** 2
-        charge = np.minimum(
-            away * (plain.precision[at] / np.float32(2 * inverse_temperature))[:, None], np.float32(cap)
-        )
-        w = plain.weight[at][:, None]
-        cost[at] = (1 - w) * cost[at] + w * charge
+    """Replace the cost of plain pixels, in place: uint16 [H, W, D], `COST_UNIT` per grey level.
+
+    ``inverse_temperature`` is per grey level of aggregated cost.
+    """
+    steepness: F32 = plain.precision * np.float32(COST_UNIT / (2 * inverse_temperature))
+    blend_plain(
+        cost, grid, plain.disparity, steepness, plain.weight, cap_grey * COST_UNIT, span=span, threads=threads
+    )  # fmt: skip
+
+
+def _difference_power(half: GreyViews, blur: float) -> F32:
+    """Sum over the views of the squared blurred difference from the centre, float32 [H/2, W/2]."""
+    import cv2
+
+    own = half.images[half.centre]
+    power = np.zeros(own.shape, np.float32)
+    for v in half.others():
+        difference = cv2.GaussianBlur(cv2.subtract(half.images[v], own, dtype=cv2.CV_32F), (0, 0), blur)
+        cv2.accumulateSquare(difference, power)
+    power /= np.float32(SCALE**2)
+    return power
+
+
+def _at_full_size(image: F32, shape: tuple[int, ...]) -> F32:
+    """An image of half size at full size; an odd last row or column repeats its neighbour."""
+    import cv2
+
+    doubled = cv2.resize(image, None, fx=2, fy=2, interpolation=cv2.INTER_LINEAR)[: shape[0], : shape[1]]
+    below, right = shape[0] - doubled.shape[0], shape[1] - doubled.shape[1]
+    return np.asarray(cv2.copyMakeBorder(doubled, 0, below, 0, right, cv2.BORDER_REPLICATE), np.float32)
 
 
 def _plainness(own: F32, noise: float, settings: PlainSettings) -> F32:
@@ -139,11 +167,3 @@ def _plainness(own: F32, noise: float, settings: PlainSettings) -> F32:
     steepest = cv2.dilate(np.hypot(gx, gy), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size)))
     threshold = settings.edge_grey + settings.edge_per_noise * noise
     return np.asarray(np.clip(2 - steepest / np.float32(threshold), 0, 1), np.float32)
-
-
-def _half(image: F32) -> F32:
-    """At half size, each pixel the mean of four."""
-    import cv2
-
-    size = max(1, image.shape[1] // 2), max(1, image.shape[0] // 2)
-    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.float32)

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from lfrig.contracts.progress import Monitor
-from lfrig.processing.dpv import auto_range, light_field_evidence
+from lfrig.processing.dpv import auto_range, light_field_evidence, plane_grid, refuse_constant
+from lfrig.processing.matching_views import LIMIT_PX, matching_views
 from lfrig.processing.model import Evidence, LightField, RigPrior, Source
 from lfrig.processing.options import Settings
 from lfrig.processing.poses import PoseSolution
@@ -53,11 +54,21 @@ def _compute(
     monitor: Monitor,
     tally: Tally,
 ) -> Evidence:
-    found = auto_range(light_field, threads=threads)
-    if expected is not None:
-        lo, hi = max(found[0], expected[0]), min(found[1], expected[1])
-        found = (lo, hi) if hi - lo > 0.1 * (found[1] - found[0]) else found
-    return light_field_evidence(light_field, found, settings.dpv, threads=threads, monitor=monitor)
+    refuse_constant(light_field)
+    knobs, skips = settings.dpv, settings.skips
+    views = matching_views(light_field, knobs.clipped_blur_px, threads=threads)
+    possible = expected or (-LIMIT_PX, LIMIT_PX)
+    found = possible
+    if skips.depth_range:
+        occurring = auto_range(light_field, views=views, skips=skips, threads=threads)
+        lo, hi = max(occurring[0], possible[0]), min(occurring[1], possible[1])
+        found = (lo, hi) if hi - lo > 0.1 * (occurring[1] - occurring[0]) else occurring
+    with tally.timed("depth_range", "planes") as count:
+        count.done = plane_grid(found, knobs).count
+        count.skipped = max(0, plane_grid(possible, knobs).count - count.done)
+        return light_field_evidence(
+            light_field, found, knobs, views=views, skips=skips, tally=tally, threads=threads, monitor=monitor
+        )
 
 
 def expected_range(light_field: LightField, prior: RigPrior) -> tuple[float, float] | None:

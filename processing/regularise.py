@@ -8,7 +8,8 @@ import numpy as np
 
 from lfrig.contracts.progress import Monitor
 from lfrig.processing.fusion import FusedVolume
-from lfrig.processing.kernels.sgm import aggregate
+from lfrig.processing.kernels.sgm import U16, finest_unit
+from lfrig.processing.kernels.surface import PeakMean, evidence_cost, mean_of_scores, sgm_surface
 from lfrig.processing.model import F32, U8
 
 
@@ -53,50 +54,32 @@ def regularise(
     peak : float32 [H, W], 0..1
         Share of the evidence within the window around the best plane.
     """
-    w0, dw = volume.planes
     if settings.method == "none":
-        index, peak = _regress(volume.evidence, volume.is_log, settings)
-        return np.asarray(w0 + dw * index, np.float32), peak
-    evidence = volume.evidence if volume.is_log else np.log(np.maximum(volume.evidence, np.float32(1e-6)))
-    cost = evidence.max(2, keepdims=True) - evidence
-    np.minimum(cost, np.float32(settings.cap), out=cost)
-    total = aggregate(cost, photo, settings.p1, settings.p2, settings.edge_grey, threads=threads, monitor=monitor)
-    del cost
-    total *= np.float32(-settings.sharpness)
-    index, peak = _regress(total, True, settings)
+        index, peak = mean_of_scores(volume.evidence, _peak_mean(settings, 1.0))
+    else:
+        index, peak = _semi_global(volume, photo, settings, threads)
+    if monitor:
+        monitor.advance(0)
+    w0, dw = volume.planes
     return np.asarray(w0 + dw * index, np.float32), peak
 
 
-def _regress(evidence: F32, is_log: bool, settings: RegulariseSettings) -> tuple[F32, F32]:
-    """Mean plane index and peak mass, float32 [H, W] each; rows in blocks to bound memory.
+def _peak_mean(settings: RegulariseSettings, sharpness: float) -> PeakMean:
+    return PeakMean(sharpness, settings.window, settings.regression == "soft-argmax")
 
-    The window lies around the peak between planes and fades at its ends: where two planes are equally good, rounding
-    decides which is the best, but not what comes out.
+
+def _costs(volume: FusedVolume, settings: RegulariseSettings, threads: int) -> tuple[U16, float]:
+    """Costs uint16 [H, W, N] and their steps per unit of log evidence: the volume's own where these fit, else the
+    finest that do.
     """
-    height, width, planes = evidence.shape
-    index, peak = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
-    labels = np.arange(planes, dtype=np.float32)
-    rows = max(1, 2_000_000 // (width * planes))
-    for y in range(0, height, rows):
-        block = evidence[y : y + rows]
-        p = np.exp(block - block.max(2, keepdims=True)) if is_log else block.copy()
-        p /= np.maximum(p.sum(2, keepdims=True), np.float32(1e-20))
-        away = np.abs(labels - _peak(block, is_log)[..., None])
-        near = np.clip(np.float32(settings.window + 0.5) - away, 0, 1)
-        peak[y : y + rows] = (p * near).sum(2)
-        if settings.regression == "window":
-            p *= near
-        index[y : y + rows] = (p @ labels) / np.maximum(p.sum(2), np.float32(1e-20))
-    return index, peak
+    finest = finest_unit(settings.cap, settings.p1, settings.p2)
+    if volume.cap <= settings.cap and volume.unit * finest >= 1 - 1e-6:
+        return volume.cost, 1 / volume.unit
+    return evidence_cost(volume.evidence, finest, settings.cap, threads=threads), finest
 
 
-def _peak(evidence: F32, is_log: bool) -> F32:
-    """Where a parabola through the logarithms of the best plane and its neighbours has its top, float32 [H, W]."""
-    last = evidence.shape[2] - 1
-    best = evidence.argmax(2)
-    three = [np.take_along_axis(evidence, np.clip(best + d, 0, last)[..., None], 2)[..., 0] for d in (-1, 0, 1)]
-    before, at, after = three if is_log else (np.log(np.maximum(part, np.float32(1e-20))) for part in three)
-    bend = 2 * at - before - after
-    inner = (best > 0) & (best < last) & (bend > 0)
-    offset = np.where(inner, 0.5 * (after - before) / np.where(inner, bend, 1), 0)
-    return np.asarray(best + offset, np.float32)
+def _semi_global(volume: FusedVolume, photo: U8, settings: RegulariseSettings, threads: int) -> tuple[F32, F32]:
+    """Mean plane index and peak mass after semi-global matching, float32 [H, W] each."""
+    cost, unit = _costs(volume, settings, threads)
+    mean = _peak_mean(settings, settings.sharpness / (8 * unit))
+    return sgm_surface(cost, photo, unit * settings.p1, unit * settings.p2, settings.edge_grey, mean, threads=threads)

@@ -17,6 +17,9 @@ from lfrig.processing.model import F64, Anchors, Camera, Evidence, LightField, S
 
 MIN_ANCHORS = 8
 EFFECTIVE_ANCHORS = 60
+DISPARITY_SIGMA_PX = 0.01
+"""Standard deviation of an anchor's disparity that need not be explained: where most anchors lie on one frontal plane,
+a line without slope explains these best and takes all others for outliers."""
 MIN_OPTICS_SIGMA = 0.005
 PRIOR_LIMIT = 4.0
 """Standard deviations beyond which anchors and recorded optics contradict each other."""
@@ -250,7 +253,8 @@ def _fit_checked(
     if known is not None and spread >= settings.min_spread_px:
         free = fit_affine(disparity, inverse_depth)
         trusted = count >= settings.min_trusted_anchors and free.inliers > 0.6 and free.a > 0
-        agree = [_agreeing(f, disparity, inverse_depth, 3 * free.residual) for f in (free, fit)]
+        tolerance = 3 * max(free.residual, DISPARITY_SIGMA_PX * known.a)
+        agree = [_agreeing(f, disparity, inverse_depth, tolerance) for f in (free, fit)]
         if trusted and known.excess(free) > PRIOR_LIMIT and agree[0] > 1.3 * agree[1]:
             monitor.warn(
                 "optics-mismatch",

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
 from lfrig.contracts.progress import Monitor
 from lfrig.processing.model import F32, U8, LightField
+from lfrig.processing.poses.work import PoseWork
 
 FINE_PX, COARSE_PX = 1.0, 2.5
 TEXTURED = 0.5
 """The half of the pixels with the stronger coarse gradients is judged."""
+
+QUANTILE_STEP = 7
+"""Of the pixels that say where that half begins."""
 
 SOFT = 0.87
 """Fine detail relative to the other captures' median. On the tuning scenes sharp captures lie within 0.97 and 1.04, a
@@ -28,14 +33,18 @@ def fine_detail(picture: U8) -> float:
 
     grey = cv2.cvtColor(np.ascontiguousarray(picture), cv2.COLOR_RGB2GRAY).astype(np.float32)
     fine, coarse = (_squared_gradient(cv2.GaussianBlur(grey, (0, 0), sigma)) for sigma in (FINE_PX, COARSE_PX))
-    judged = coarse >= np.quantile(coarse, TEXTURED)
+    judged = coarse >= np.quantile(coarse.ravel()[::QUANTILE_STEP], TEXTURED)
     total = float(coarse[judged].mean(dtype=np.float64))
     return float(np.sqrt(fine[judged].mean(dtype=np.float64) / total)) if total > 1e-6 else float("nan")
 
 
-def warn_of_defocus(sources: Sequence[LightField], monitor: Monitor) -> None:
-    """Warn of captures that are softer than the others: out of focus, or moved while exposing."""
-    detail = np.array([fine_detail(source.centre_view) for source in sources])
+def warn_of_defocus(sources: Sequence[LightField], monitor: Monitor, work: PoseWork | None = None) -> None:
+    """Warn of captures that are softer than the others: out of focus, or moved while exposing.
+
+    ``work`` remembers how sharp they were.
+    """
+    work = PoseWork() if work is None else work
+    detail = np.array([work.once("detail", (s.views,), partial(fine_detail, s.centre_view)) for s in sources])
     for k, source in enumerate(sources):
         others = np.delete(detail, k)
         others = others[np.isfinite(others)]

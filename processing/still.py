@@ -7,6 +7,8 @@ depths that belong to nothing. It shows as corners that keep their place from ca
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
 from itertools import combinations
 
 import numpy as np
@@ -14,6 +16,7 @@ import numpy as np
 from lfrig.contracts.progress import Monitor
 from lfrig.processing.model import F32, F64, U8, Camera, LightField
 from lfrig.processing.patch import correlation, patch_window
+from lfrig.processing.poses.work import PoseWork
 
 Point = tuple[float, float]
 """(x, y) px."""
@@ -28,12 +31,30 @@ ZOOM_TOLERANCE, ROLL_TOLERANCE_DEG = 0.1, 1.5
 RESIDUAL_PX = 1.0
 ALIKE = 0.8
 RADIUS = 5
-WINDOW_PX = 15
+WINDOW_PX, LEVELS = 15, 2
 
 STILL_SHARE = 0.04
 """Share of the corners, in the middle one of all pairs of captures. A pattern that repeats around the plate (posts,
 bricks) seems to stand still in pairs whose turn is a multiple of its period; what does stand still, in nearly all.
 On the tuning scenes nothing that turns comes above 0.02; a still wall over a fifth of the picture makes 0.05 to 0.3."""
+
+
+@dataclass(frozen=True)
+class _Prepared:
+    """A grey picture uint8 [H, W], its corners float32 [N, 2] px, and the pixel that the optical axis meets."""
+
+    grey: U8
+    corners: F32
+    middle: Point
+
+
+def _prepared(picture: U8, middle: Point | None = None) -> _Prepared:
+    import cv2
+
+    grey = np.asarray(cv2.cvtColor(np.ascontiguousarray(picture), cv2.COLOR_RGB2GRAY), np.uint8)
+    corners = cv2.goodFeaturesToTrack(grey, MAX_CORNERS, 0.01, 7, blockSize=5)
+    own = (grey.shape[1] - 1) / 2, (grey.shape[0] - 1) / 2
+    return _Prepared(grey, np.zeros((0, 2), np.float32) if corners is None else corners[:, 0], middle or own)
 
 
 def still_share(first: U8, second: U8, zoom: float, middles: tuple[Point, Point] | None = None) -> float:
@@ -45,46 +66,57 @@ def still_share(first: U8, second: U8, zoom: float, middles: tuple[Point, Point]
     Corners are tracked from where they would be if nothing had turned (pyramidal Lucas–Kanade, there and back); those
     that agree on one similarity near that zoom stand still.
     """
-    import cv2
+    here, there = middles or (None, None)
+    return _share(_prepared(first, here), _prepared(second, there), zoom)
 
-    a, b = (cv2.cvtColor(np.ascontiguousarray(p), cv2.COLOR_RGB2GRAY) for p in (first, second))
-    corners = cv2.goodFeaturesToTrack(a, MAX_CORNERS, 0.01, 7, blockSize=5)
-    if corners is None:
+
+def _share(a: _Prepared, b: _Prepared, zoom: float) -> float:
+    start = a.corners
+    if not len(start):
         return 0.0
-    start = corners[:, 0].astype(np.float32)
-    own = tuple(((p.shape[1] - 1) / 2, (p.shape[0] - 1) / 2) for p in (a, b))
-    middle_a, middle_b = (np.array(middle, np.float32) for middle in middles or own)
-    width = a.shape[1]
-    a, b = _of_one_size(a, b)
+    middle_a, middle_b = (np.array(p.middle, np.float32) for p in (a, b))
+    here, other = _of_one_size(a.grey, b.grey)
     expected = np.asarray((start - middle_a) * np.float32(zoom) + middle_b, np.float32)
-    found, there = _tracked(a, b, start, expected)
-    returned, back = _tracked(b, a, found, start)
-    good = there & back & (np.linalg.norm(returned - start, axis=1) < 0.5)
-    good &= np.linalg.norm(found - expected, axis=1) < REACH * width
-    good[good] = _correlation(a, b, start[good], found[good], zoom) > ALIKE
-    return _agreeing(start[good], found[good], zoom) / len(start)
+    found, there = _tracked(here, other, start, expected)
+    # Only what seems to stand still is asked for its way back.
+    rows = np.flatnonzero(there & (np.hypot(*(found - expected).T) < REACH * a.grey.shape[1]))
+    if len(rows) < MIN_STILL:
+        return 0.0
+    returned, back = _tracked(other, here, found[rows], start[rows])
+    rows = rows[back & (np.hypot(*(returned - start[rows]).T) < 0.5)]
+    rows = rows[_correlation(here, other, start[rows], found[rows], zoom) > ALIKE]
+    return _agreeing(start[rows], found[rows], zoom) / len(start)
 
 
-def warn_of_still_background(sources: Sequence[LightField], monitor: Monitor) -> None:
-    """Warn when a good part of what is seen does not turn with the plate."""
+def warn_of_still_background(sources: Sequence[LightField], monitor: Monitor, work: PoseWork | None = None) -> None:
+    """Warn when a good part of what is seen does not turn with the plate; ``work`` remembers what was compared."""
+    work = PoseWork() if work is None else work
+    pairs = [(a, b) for a, b in combinations(sources, 2) if _should_turn(a, b)]
     shares = []
-    for i, j in combinations(range(len(sources)), 2):
-        a, b = sources[i], sources[j]
-        if a.turntable_deg is not None and b.turntable_deg is not None:
-            turn = abs((a.turntable_deg - b.turntable_deg + 180) % 360 - 180)
-            if turn < MIN_TURN_DEG:
-                continue
+    for a, b in pairs:
         zoom = _focal(b.camera, b.width) / _focal(a.camera, a.width)
-        shares.append((still_share(a.centre_view, b.centre_view, zoom, (_middle(a), _middle(b))), a.id, b.id))
+        here, there = (
+            work.once("still", (s.views, s.camera), partial(_prepared, s.centre_view, _middle(s))) for s in (a, b)
+        )
+        share = work.once(f"still at {zoom:.6f}", (here, there), partial(_share, here, there, zoom))
+        shares.append((share, a.id, b.id))
+        if sum(s <= STILL_SHARE for s, _, _ in shares) > len(pairs) // 2:
+            return  # whatever the others say, the middle one of all does not stand still
     if not shares:
         return
-    share, first, second = sorted(shares)[len(shares) // 2]
+    share, one, other = sorted(shares)[len(shares) // 2]
     if share > STILL_SHARE:
         monitor.warn(
             "still-background",
-            f"captures {first} and {second}: {share:.0%} of the corners stand still while the plate turns; what does "
+            f"captures {one} and {other}: {share:.0%} of the corners stand still while the plate turns; what does "
             "not turn with it misleads poses and depth: hang a plain backdrop, or move the camera closer",
         )
+
+
+def _should_turn(a: LightField, b: LightField) -> bool:
+    if a.turntable_deg is None or b.turntable_deg is None:
+        return True
+    return bool(abs((a.turntable_deg - b.turntable_deg + 180) % 360 - 180) >= MIN_TURN_DEG)
 
 
 def _middle(light_field: LightField) -> Point:
@@ -98,12 +130,14 @@ def _of_one_size(a: U8, b: U8) -> tuple[U8, U8]:
     """Both pictures [H, W], the smaller one continued by its border: the tracker wants equal sizes."""
     import cv2
 
+    if a.shape == b.shape:
+        return a, b
     height, width = (max(a.shape[axis], b.shape[axis]) for axis in (0, 1))
     padded = (
         cv2.copyMakeBorder(p, 0, height - p.shape[0], 0, width - p.shape[1], cv2.BORDER_REPLICATE) for p in (a, b)
     )
-    first, second = (np.asarray(p, np.uint8) for p in padded)
-    return first, second
+    one, other = (np.asarray(p, np.uint8) for p in padded)
+    return one, other
 
 
 def _focal(camera: Camera | None, width: int) -> float:
@@ -116,7 +150,7 @@ def _tracked(a: U8, b: U8, points: F32, guess: F32) -> tuple[F32, np.ndarray]:
     if not len(points):
         return points, np.zeros(0, bool)
     moved, found, _ = cv2.calcOpticalFlowPyrLK(
-        a, b, points[:, None], guess[:, None].copy(), winSize=(WINDOW_PX, WINDOW_PX), maxLevel=2,
+        a, b, points[:, None], guess[:, None].copy(), winSize=(WINDOW_PX, WINDOW_PX), maxLevel=LEVELS,
         criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 0.03), flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
     )  # fmt: skip
     return np.asarray(moved[:, 0], np.float32), np.asarray(found[:, 0] > 0)

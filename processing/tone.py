@@ -18,6 +18,8 @@ Mask = NDArray[np.bool_]
 FAIR = (20.0, 235.0)
 """Grey levels between which a value is neither noise nor clipped."""
 ENOUGH = 100
+PLENTY = 4000
+"""Pixels that a fit takes: more, evenly left out, would not move it."""
 GAMMA_LIMITS = (0.6, 1.6)
 SPREAD = 0.15
 """Standard deviation of log values below which only a gain is fitted."""
@@ -43,6 +45,16 @@ class Tone:
             lifted = np.power(lifted, self.gamma, dtype=np.float32)
         return np.asarray(np.clip(lifted * self.gain, 0, 255), np.float32)
 
+    def apply_marked(self, image: U8) -> U8:
+        """The same for grey levels uint8 [H, W, 4] whose last channel is kept, by a table."""
+        import cv2
+
+        table = np.empty((256, 1, 4), np.uint8)
+        levels = np.repeat(np.arange(256, dtype=np.float32)[:, None], 3, 1)
+        table[:, 0, :3] = np.rint(self.apply(levels))
+        table[:, 0, 3] = np.arange(256)
+        return np.asarray(cv2.LUT(image, table), np.uint8)
+
 
 def fit_tone(photo: F32, colour: F32, seen: Mask) -> Tone:
     """Robust fit; the identity for channels with too few fair pixels.
@@ -53,9 +65,12 @@ def fit_tone(photo: F32, colour: F32, seen: Mask) -> Tone:
         Grey levels that belong together, where ``seen``.
     """
     gain, gamma = np.ones(3, np.float32), np.ones(3, np.float32)
+    where = np.flatnonzero(seen)
+    where = where[:: max(1, len(where) // PLENTY)]
+    ours, theirs = photo.reshape(-1, 3)[where], colour.reshape(-1, 3)[where]
     for channel in range(3):
-        a, b = photo[..., channel], colour[..., channel]
-        fair = seen & (a > FAIR[0]) & (a < FAIR[1]) & (b > FAIR[0]) & (b < FAIR[1])
+        a, b = ours[:, channel], theirs[:, channel]
+        fair = (a > FAIR[0]) & (a < FAIR[1]) & (b > FAIR[0]) & (b < FAIR[1])
         if int(fair.sum()) > ENOUGH:
             gain[channel], gamma[channel] = _fit_channel(np.log(a[fair]), np.log(b[fair]))
     return Tone(gain, gamma)
@@ -68,9 +83,10 @@ def _fit_channel(photo: F32, source: F32) -> tuple[float, float]:
         return float(np.exp(offset)), 1.0
     x, y = source.astype(np.float64), photo.astype(np.float64)
     slope, level = 1.0, offset
+    middle = len(x) // 2
     for _ in range(8):
         residual = y - slope * x - level
-        scale = 1.4826 * float(np.median(np.abs(residual))) + 1e-3
+        scale = 1.4826 * float(np.partition(np.abs(residual), middle)[middle]) + 1e-3
         weight = np.clip(1 - (residual / (4.685 * scale)) ** 2, 0, 1) ** 2
         total = weight.sum()
         mx, my = (weight * x).sum() / total, (weight * y).sum() / total
@@ -92,6 +108,12 @@ def luma(image: U8) -> F32:
     return np.asarray(image.astype(np.float32) @ LUMA, np.float32)
 
 
-def saturation(image: U8, sigma: float) -> F32:
-    """Share of saturated pixels in each pixel's blur, float32 [H, W]."""
-    return blurred(np.asarray((image >= SATURATED_GREY).any(2), np.float32), sigma)
+def marked(image: U8, sigma: float) -> U8:
+    """RGB uint8 [H, W, 3] blurred, with the share of saturated pixels in the blur (/255) as a fourth channel."""
+    import cv2
+
+    below = cv2.inRange(image, np.zeros(3), np.full(3, SATURATED_GREY - 1.0))
+    out = np.empty((*image.shape[:2], 4), np.uint8)
+    soft, share = cv2.GaussianBlur(image, (0, 0), sigma), cv2.GaussianBlur(cv2.bitwise_not(below), (0, 0), sigma)
+    cv2.mixChannels([soft, share], [out], [0, 0, 1, 1, 2, 2, 3, 3])
+    return out

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfrig.processing.geometry import project, projection
+from lfrig.processing.kernels.landing import FAR_OUTSIDE, Way, landing
 from lfrig.processing.model import F32, F64, Camera, Pose, Source
 
 Mask = NDArray[np.bool_]
-FAR_OUTSIDE = -9e3
 
 
 @dataclass(frozen=True)
@@ -48,14 +48,20 @@ def contradiction(ahead: F32, margin_px: float) -> F32:
     return np.asarray(np.clip((-ahead - np.float32(margin_px)) / np.float32(0.5 * margin_px), 0, 1), np.float32)
 
 
-def land(inverse_depth: F32, source: Source, camera: Camera, pose: Pose) -> Landing:
-    """Carry a surface float32 [H, W] (1/m, in the frame of ``camera`` at ``pose``) into a source."""
-    import cv2
+def half_contradicted(margin_px: float) -> float:
+    """How far a point floats before what a source sees where `contradiction` is one half [px per view step]."""
+    return 1.25 * margin_px
 
-    u, v, w, inside = carry(inverse_depth, source, camera, pose)
-    own = cv2.remap(source.evidence.disparity, u, v, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)
-    ahead = np.asarray(own - source.scale.disparity(np.nan_to_num(w)), np.float32)
-    return Landing(u, v, inside, ahead)
+
+def way_into(source: Source, camera: Camera, pose: Pose) -> Way:
+    """From the pixels of ``camera`` at ``pose`` into a source."""
+    size = (source.camera.height, source.camera.width)
+    return Way(projection(camera, pose, source.camera, source.pose), size, source.evidence.disparity, source.scale)
+
+
+def land(inverse_depth: F32, source: Source, camera: Camera, pose: Pose, *, threads: int = 0) -> Landing:
+    """Carry a surface float32 [H, W] (1/m, in the frame of ``camera`` at ``pose``) into a source."""
+    return Landing(*landing(inverse_depth, way_into(source, camera, pose), threads=threads))
 
 
 def carry(

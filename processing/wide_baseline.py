@@ -9,18 +9,19 @@ or the match is poor, the surface stays as it was.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lfrig.contracts.progress import Monitor
 from lfrig.processing.geometry import projection
-from lfrig.processing.kernels.band_cost import Patch, band_cost
-from lfrig.processing.kernels.sgm import I16, aggregate
+from lfrig.processing.kernels.band_cost import LEAST_VISIBLE, UNIT, Patch, View, band_cost
+from lfrig.processing.kernels.band_peak import U16, band_peak
+from lfrig.processing.kernels.sgm import I16, PATH_LIMIT, aggregate
 from lfrig.processing.model import F32, U8, Camera, Pose, Source
 from lfrig.processing.plane_fit import Planes
+from lfrig.processing.skipping import SKIP_ALL, Skips, Tally
 from lfrig.processing.tone import luma
 from lfrig.processing.visibility import Mask, count_agreeing, land
 
@@ -48,8 +49,15 @@ class WideBaselineSettings:
     accept_cost: float = 0.8
     accept_seen: float = 0.4
 
+    @property
+    def unit(self) -> int:
+        """A cost of 1 in fixed point, so that a path's costs fit (`kernels.sgm`)."""
+        return min(UNIT, int(PATH_LIMIT / (self.p2 + self.cap)))
+
 
 DEFAULT_WIDE_BASELINE = WideBaselineSettings()
+PATHS = 8
+"""That the aggregation adds up."""
 LUMA_NOISE = 0.45
 """Variance of luma from independent noise of variance 1 in R, G and B."""
 
@@ -84,8 +92,9 @@ def refine_wide(
     photo: U8,
     settings: WideBaselineSettings = DEFAULT_WIDE_BASELINE,
     *,
+    skips: Skips = SKIP_ALL,
+    tally: Tally | None = None,
     threads: int = 0,
-    monitor: Monitor | None = None,
 ) -> WideMatch:
     """Refine a surface.
 
@@ -96,51 +105,57 @@ def refine_wide(
     photo : uint8 [H, W, 3]
     """
     step = settings.step_px / pixels_per_inverse_depth(surface.value, sources, camera, pose)
-    visible = [land(surface.value, s, camera, pose).visible(settings.margin_px) for s in sources]
+    visible = [land(surface.value, s, camera, pose, threads=threads).visible(settings.margin_px) for s in sources]
     seen = np.asarray(np.sum(visible, axis=0), np.float32)
-    cost = _cost(surface, visible, seen, sources, camera, pose, photo, step, settings, threads)
+    unit = settings.unit
+    cost = _cost(surface, visible, sources, camera, pose, photo, step, settings, skips, tally, threads)
     total = aggregate(
-        cost, photo, settings.p1, settings.p2, settings.edge_grey, shift=label_shifts(surface, step),
-        threads=threads, monitor=monitor,
+        cost, photo, unit * settings.p1, unit * settings.p2, settings.edge_grey, shift=label_shifts(surface, step),
+        threads=threads,
     )  # fmt: skip
-    best_label = total.argmin(2)
-    moved = surface.value + np.float32(step) * (_parabola(total, best_label) - np.float32(settings.labels // 2))
-    best = cost.min(2)
-    agreeing = count_agreeing([land(moved, s, camera, pose) for s in sources], settings.support_px)
+    label, best, margin, curvature = band_peak(cost, total, threads=threads)
+    best /= np.float32(unit)
+    moved = surface.value + np.float32(step) * (label - np.float32(settings.labels // 2))
+    there = [land(moved, s, camera, pose, threads=threads) for s in sources]
+    agreeing = count_agreeing(there, settings.support_px)
     accepted = (agreeing > 0) & (seen > settings.accept_seen) & (best < settings.accept_cost)
     inverse_depth = np.where(accepted, moved, surface.value).astype(np.float32)
-    return WideMatch(inverse_depth, best, seen, accepted, *_distinctness(total, best_label))
+    of_path = np.float32(1 / (PATHS * unit))
+    return WideMatch(inverse_depth, best, seen, accepted, margin * of_path, curvature * of_path)
 
 
 def _cost(
     surface: Planes,
     visible: Sequence[F32],
-    seen: F32,
     sources: Sequence[Source],
     camera: Camera,
     pose: Pose,
     photo: U8,
     step: float,
     settings: WideBaselineSettings,
+    skips: Skips,
+    tally: Tally | None,
     threads: int,
-) -> F32:
-    """Mean over the sources that see a pixel, float32 [H, W, K]; the cap where none does."""
-    grey = luma(photo)
-    total = np.zeros((*grey.shape, settings.labels), np.float32)
-    for source, weight in zip(sources, visible, strict=True):
-        noise = settings.noise_floor + LUMA_NOISE * source.evidence.noise_sigma**2
-        patch = Patch(settings.radius, settings.stride, settings.sigma_grey, noise, settings.cap)
-        part = band_cost(
-            grey, photo, luma(source.light_field.centre_view), weight,
-            (surface.value, surface.slope_x, surface.slope_y), projection(camera, pose, source.camera, source.pose),
-            step, settings.labels, patch, threads=threads,
-        )  # fmt: skip
-        part *= weight[..., None]
-        total += part
-    none = seen <= 0.01
-    total /= np.maximum(seen, np.float32(0.01))[..., None]
-    total[none] = settings.cap
-    return np.asarray(total, np.float32)
+) -> U16:
+    """Mean over the sources that see a pixel, uint16 [H, W, K] in 1 / ``settings.unit``; the cap where none does."""
+    views = [
+        View(
+            luma(source.light_field.centre_view), weight, projection(camera, pose, source.camera, source.pose),
+            settings.noise_floor + LUMA_NOISE * source.evidence.noise_sigma**2,
+        )
+        for source, weight in zip(sources, visible, strict=True)
+    ]  # fmt: skip
+    patch = Patch(settings.radius, settings.stride, settings.sigma_grey, settings.cap)
+    start = time.process_time()
+    cost = band_cost(
+        luma(photo), photo, views, (surface.value, surface.slope_x, surface.slope_y), step, settings.labels, patch,
+        least_visible=LEAST_VISIBLE if skips.sources else -1.0, unit=settings.unit, threads=threads,
+    )  # fmt: skip
+    if tally is not None:
+        whole = len(views) * surface.value.size
+        asked = sum(int((weight > LEAST_VISIBLE).sum()) for weight in visible) if skips.sources else whole
+        tally.add("sources", asked, whole - asked, "pixels matched with a source", time.process_time() - start)
+    return cost
 
 
 def pixels_per_inverse_depth(inverse_depth: F32, sources: Sequence[Source], camera: Camera, pose: Pose) -> float:
@@ -173,29 +188,3 @@ def label_shifts(surface: Planes, step: float) -> I16:
         continued = w[here] + 0.5 * ((gx[here] + gx[there]) * dx + (gy[here] + gy[there]) * dy)
         out[k][here] = np.clip(np.rint((continued - w[there]) / np.float32(step)), -9999, 9999)
     return out
-
-
-def _parabola(total: F32, best: NDArray[np.intp]) -> F32:
-    """Label of the least cost, to a fraction, float32 [H, W]."""
-    labels = total.shape[2]
-    inner = np.clip(best, 1, max(labels - 2, 1)) if labels >= 3 else best
-    if labels < 3:
-        return np.asarray(best, np.float32)
-    before, at, after = (np.take_along_axis(total, (inner + d)[..., None], 2)[..., 0] for d in (-1, 0, 1))
-    curvature = before - 2 * at + after
-    offset = np.where((inner == best) & (curvature > 1e-9), 0.5 * (before - after) / np.maximum(curvature, 1e-9), 0)
-    return np.asarray(best + offset, np.float32)
-
-
-def _distinctness(total: F32, best: NDArray[np.intp]) -> tuple[F32, F32]:
-    """(margin, curvature) of aggregated costs float32 [H, W, K], float32 [H, W] each (see `WideMatch`)."""
-    reach = 2
-    least = np.take_along_axis(total, best[..., None], 2)[..., 0]
-    away, curvature = total.copy(), np.zeros_like(least)
-    for step in range(-reach, reach + 1):
-        at = np.clip(best + step, 0, total.shape[2] - 1)[..., None]
-        np.put_along_axis(away, at, np.float32(np.inf), 2)
-        if abs(step) == reach:
-            curvature += np.take_along_axis(total, at, 2)[..., 0] - least
-    margin = away.min(2) - least
-    return np.where(np.isfinite(margin), margin, 0).astype(np.float32), curvature

@@ -46,6 +46,20 @@ def test_importing_processing_costs_nothing() -> None:
     assert not modules_after("import lfrig.processing, lfrig.rig, lfrig.sim, lfrig.drivers, lfrig.bench") & set(HEAVY)
 
 
+HEAVIEST = ("cv2", "pycolmap", "matplotlib", "PIL", "tifffile", "rawpy", "scipy")
+"""What takes tenths of a second, or tens of megabytes, to load: for the functions that need it."""
+
+
+def test_importing_the_pipeline_loads_no_library_that_few_runs_need() -> None:
+    loaded = modules_after("import lfrig.processing.pipeline, lfrig.processing.live, lfrig.rig.process")
+    assert "numpy" in loaded and not loaded & set(HEAVIEST)
+
+
+def test_importing_a_benchmark_loads_no_library_that_few_runs_need() -> None:
+    loaded = modules_after("from lfrig.bench import BENCHES, load\nfor name in BENCHES: load(name)")
+    assert not loaded & set(HEAVIEST)
+
+
 def test_help_loads_typer_and_rich_alone() -> None:
     loaded = modules_after("from lfrig.rig.cli import main\nassert main(['--help']) == 0")
     assert {"typer", "rich"} <= loaded

@@ -10,7 +10,7 @@ moves all depths by one factor, which no pixel can see. Calibration after traini
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -20,27 +20,19 @@ import numpy as np
 
 from lfrig.processing.confidence.clues import Clues
 from lfrig.processing.confidence.features import feature_maps
+from lfrig.processing.kernels.perceptron import Layer, perceptron
 from lfrig.processing.model import F32, F64
 
 TOLERANCE_PX = 0.1
 FILE = Path(__file__).with_name("model.json")
 FORMAT = "lfrig.confidence/1"
-LIMIT = np.float32(4.0)
+LIMIT = 4.0
 """Standard deviations beyond which a feature says no more than the tuning scenes taught."""
-LEAK = np.float32(0.05)
-BLOCK = 8192
+LEAK = 0.05
 SIGMA_LIMITS_PX = (1e-4, 4.0)
 COMMON_SHARE = np.float32(0.5)
 """How much of the common scale's sigma the probability counts: it has no gross errors, a pixel of that sigma has. Half
 ranks and predicts best on the tuning scenes, with poses from the turntable's prior."""
-
-
-@dataclass(frozen=True)
-class Layer:
-    """``weight`` float32 [out, in], ``bias`` float32 [out]."""
-
-    weight: F32
-    bias: F32
 
 
 @dataclass(frozen=True)
@@ -52,10 +44,11 @@ class Curve:
 
     def __call__(self, values: F32) -> F32:
         """The curve at ``values``, float32 of the same shape."""
-        inner = np.interp(values, self.x, self.y)
-        below, above = np.minimum(values - self.x[0], 0), np.maximum(values - self.x[-1], 0)
+        out = np.interp(values, self.x, self.y).astype(np.float32)
         first, last = ((self.y[i + 1] - self.y[i]) / (self.x[i + 1] - self.x[i]) for i in (0, -2))
-        return np.asarray(inner + first * below + last * above, np.float32)
+        out += np.float32(first) * np.minimum(values - np.float32(self.x[0]), np.float32(0))
+        out += np.float32(last) * np.maximum(values - np.float32(self.x[-1]), np.float32(0))
+        return out
 
 
 @dataclass(frozen=True)
@@ -71,18 +64,9 @@ class ConfidenceModel:
     sigma: Curve
     logit: Curve
 
-    def log_error(self, features: F32) -> F32:
-        """Logarithm of E|error| [px per view step of the sources], float32 [N], of ``features`` float32 [F, N]."""
-        out = np.empty(features.shape[1], np.float32)
-        # Blocks of one size keep memory low and the order of the sums the same on any machine's thread count.
-        for start in range(0, len(out), BLOCK):
-            values = (features[:, start : start + BLOCK] - self.mean[:, None]) / self.spread[:, None]
-            np.clip(values, -LIMIT, LIMIT, out=values)
-            for layer in self.layers[:-1]:
-                values = layer.weight @ values + layer.bias[:, None]
-                np.maximum(values, LEAK * values, out=values)
-            out[start : start + BLOCK] = (self.layers[-1].weight @ values + self.layers[-1].bias[:, None])[0]
-        return out
+    def log_error(self, features: Sequence[F32] | F32, *, threads: int = 0) -> F32:
+        """Logarithm of E|error| [px per view step of the sources], float32 [N], of ``features`` float32 [N] each."""
+        return perceptron(features, self.mean, self.spread, self.layers, limit=LIMIT, leak=LEAK, threads=threads)
 
     def probability(self, sigma_px: F32) -> F32:
         """P(|error| < 0.1 px) of pixels whose error has the scale ``sigma_px``, float32 of the same shape."""
@@ -126,7 +110,9 @@ def shipped_model() -> ConfidenceModel:
     return ConfidenceModel.from_json(json.loads(FILE.read_text(encoding="utf-8")))
 
 
-def estimate(clues: Clues, px_per_inverse: float, model: ConfidenceModel | None = None) -> tuple[F32, F32]:
+def estimate(
+    clues: Clues, px_per_inverse: float, model: ConfidenceModel | None = None, *, threads: int = 0
+) -> tuple[F32, F32]:
     """Confidence and sigma of a surface.
 
     Parameters
@@ -142,8 +128,8 @@ def estimate(clues: Clues, px_per_inverse: float, model: ConfidenceModel | None 
     """
     model = model or shipped_model()
     maps = feature_maps(clues)
-    features = np.stack([maps[name].ravel() for name in model.names])
-    log_sigma = model.sigma(model.log_error(features)).reshape(clues.surface.shape)
+    features = [maps[name].ravel() for name in model.names]
+    log_sigma = model.sigma(model.log_error(features, threads=threads)).reshape(clues.surface.shape)
     own = np.exp(log_sigma) * np.float32(clues.unit * px_per_inverse)
     common = clues.surface * np.float32(clues.scale_sigma * px_per_inverse)
     sigma_px, judged = (

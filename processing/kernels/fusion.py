@@ -1,190 +1,177 @@
-"""Adding a source's disparity evidence to the volume in the target's frustum, and the first-surface rule.
+"""Fusion of the sources' evidence in the target's frustum into a cost volume, in one pass.
 
-Target planes are uniform in inverse depth: ``w_k = w0 + dw·k``. A target voxel (x, y, k) lies in the source at
-``p = A (x, y, 1) + b w_k``, pixel ``(p0/p2, p1/p2)``, inverse depth ``w_k / p2``, disparity ``δ = (w_k/p2 − c) / a``:
-one projective map. C++ form: ``fusion.cpp``.
+Target planes are uniform in inverse depth: ``w_k = w0 + dw·k``, nearer last. A target voxel (x, y, k) lies in a source
+at ``p = A (x, y, 1) + b w_k``, pixel ``(p0/p2, p1/p2)``, inverse depth ``w_k / p2``, disparity
+``δ = (w_k/p2 − c) / a``: one projective map. Per voxel and source, with the probability p there (trilinear) and ε the
+floor share:
+
+- evidence: ``log((1 − ε) p·stretch + ε/N)``; towards neutral (``log 1/N``) where the source's own surface hides the
+  voxel; neutral outside its frame. ``stretch`` is the source's planes per target plane.
+- colour: ``weight · seen · (unknown − min(difference / sigma, cap))``, at voxels whose evidence comes within ``reach``
+  of their ray's best: a voxel that a source sees in another colour than the photo's is refuted. The disparities leave
+  a ray that passes behind an object, or where no source sees anything, to chance; colours know that a ray cannot end
+  in empty space.
+
+Then planes behind strong nearer evidence are lowered (first-surface rule): a wall behind an object can be supported by
+two sources while the object is out of frame in one of them, yet a ray ends at its first surface.
+
+C++ form: ``fusion.cpp``, blocks of 8 × 8 pixels that stay in the cache. It samples only bricks (a block at one plane)
+that can meet mass or the rim of a source's surface (`occupancy`); others have one value. Twin: ``fusion_twin.py``.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lfrig.contracts.native import load_native
-from lfrig.contracts.progress import Monitor
-from lfrig.processing.model import F32, F64, Evidence, ScaleFit
+from lfrig.processing.kernels.occupancy import Occupancy
+from lfrig.processing.model import F32, F64, U8, Evidence, ScaleFit
 
-_NATIVE = "lfrig.processing.kernels._native"
-RIM_PX = np.float32(1e-3)
-"""A ray that meets the frame's rim to within rounding is inside, whichever way the rounding went."""
+U16 = NDArray[np.uint16]
+
+
+@dataclass(frozen=True)
+class SourceVolume:
+    """One source: its evidence and scale, the `geometry.projection` from target to source, the tables of its volume,
+    and its centre view, uint8 [Hs, Ws, 4]: blurred as the photo, in the photo's tone, and the share of saturated pixels
+    in the blur (/255).
+    """
+
+    evidence: Evidence
+    scale: ScaleFit
+    projection: tuple[F64, F64]
+    occupancy: Occupancy
+    colour: U8 | None = None
 
 
 @dataclass(frozen=True)
 class Pool:
-    """How evidence is pooled: ``log_pool`` Σ w log((1−ε) p·stretch + ε/N), else the weighted mean of p.
+    """How evidence is pooled: the sum above (``log_pool``), or the mean of p over the sources that see the voxel.
 
-    ``floor_share`` is ε; ``visibility`` makes a source neutral behind its own surface; ``literal`` takes the target's
-    plane for the source's (the paper's printed form).
+    ``literal`` takes the target's plane for the source's (the paper's printed form); ``margin_px`` is the slack of the
+    visibility test [px per view step of the source], None leaves it out.
     """
 
     log_pool: bool = True
-    visibility: bool = True
     literal: bool = False
     floor_share: float = 0.05
+    margin_px: float | None = 0.06
 
 
-def add_evidence(
-    volume: F32,
-    mass: F32 | None,
-    evidence: Evidence,
-    scale: ScaleFit,
-    matrix: F64,
-    offset: F64,
+@dataclass(frozen=True)
+class ColourTerm:
+    """``weight``, ``sigma_grey``, ``cap``, ``unknown`` and ``reach`` of the term above; log pool only."""
+
+    weight: float
+    sigma_grey: float
+    cap: float
+    unknown: float
+    reach: float = float("inf")
+
+
+@dataclass(frozen=True)
+class SurfaceRule:
+    """Plane k pays ``min(cap, β·max(0, V[j] − neutral − τ))`` for the strongest plane j ≥ k + ``gap`` before it."""
+
+    gap: int
+    tau: float
+    beta: float
+    cap: float
+
+
+@dataclass(frozen=True)
+class CostScale:
+    """Fixed point: ``unit`` of log evidence per count, and the greatest cost there is [log evidence]."""
+
+    unit: float = 1 / 64
+    cap: float = 20.0
+
+
+@dataclass(frozen=True)
+class FusedCost:
+    """``cost`` uint16 [H, W, N]: counts below the ray's best plane; ``best`` float32 [H, W]: log evidence of that.
+
+    ``inside`` counts (voxel, source) pairs in the sources' frames; of the (brick, source) pairs, ``sampled``, ``empty``
+    (inside, of one value) and ``unseen`` (outside).
+    """
+
+    cost: U16
+    best: F32
+    inside: int
+    sampled: int
+    empty: int
+    unseen: int
+
+
+def fuse_volume(
+    sources: Sequence[SourceVolume],
+    shape: tuple[int, int, int],
     planes: tuple[float, float],
     pool: Pool,
     *,
-    weight: float = 1.0,
-    margin_px: float = 0.06,
+    photo: U8 | None = None,
+    colour: ColourTerm | None = None,
+    surface: SurfaceRule | None = None,
+    scale: CostScale = CostScale(),
+    skip_bricks: bool = True,
+    skip_sources: bool = True,
     threads: int = 0,
-    monitor: Monitor | None = None,
-) -> int:
-    """Add one source to ``volume`` in place.
+) -> FusedCost:
+    """Fuse into a volume of ``shape`` (H, W, N) with target planes ``planes`` (w0, dw) [1/m].
 
     Parameters
     ----------
-    volume : float32 [H, W, N]
-        Log evidence (log pool) or summed probability (mean pool).
-    mass : float32 [H, W, N] or None
-        Summed weights; needed by the mean pool only.
-    matrix, offset : float64 [3, 3], [3]
-        `geometry.projection` from target to source.
-    planes : (w0, dw)
-        Target planes [1/m].
-    margin_px : float
-        Slack of the visibility test [px per view step of the source].
-
-    Returns
-    -------
-    int
-        Voxels that fell inside the source's frame.
+    photo : uint8 [H, W, 4], optional
+        What the target shows, blurred, and the share of saturated pixels (`tone.marked`); with ``colour`` it is
+        compared with the sources.
+    skip_bricks, skip_sources : bool
+        Leave out bricks that no mass can reach, and sources where they do not see the brick.
     """
-    w0, dw = planes
-    native = load_native(_NATIVE)
+    compared = photo if colour is not None and pool.log_pool else None
+    native = load_native("lfrig.processing.kernels._native")
     if native is None:
-        return _add_numpy(volume, mass, evidence, scale, matrix, offset, planes, pool, weight, margin_px, monitor)
-    numbers = np.concatenate(
-        [matrix.ravel(), offset, [scale.a, scale.c, *evidence.planes_px, weight, margin_px]]
-    ).astype(np.float32)
-    empty = np.empty((0, 0, 0), np.float32)
-    return int(
-        native.fuse_add(
-            evidence.probability,
-            evidence.disparity,
-            numbers,
-            w0,
-            dw,
-            pool.floor_share,
-            pool.log_pool,
-            pool.visibility,
-            pool.literal,
-            volume,
-            empty if mass is None else mass,
-            threads,
-        )
+        from lfrig.processing.kernels.fusion_twin import fuse_numpy
+
+        return fuse_numpy(sources, shape, planes, pool, compared, colour, surface, scale)
+    cost, best = np.empty(shape, np.uint16), np.empty(shape[:2], np.float32)
+    no_colour = np.empty((0, 0, 0), np.uint8)
+    neutral = -len(sources) * float(np.log(shape[2]))
+    rule = [] if surface is None else [neutral + surface.tau, surface.gap, surface.beta, surface.cap]
+    term = colour or ColourTerm(0, 1, 0, 0)
+    counts = native.fuse_volume(
+        [s.evidence.probability for s in sources],
+        [s.evidence.disparity for s in sources],
+        [no_colour if s.colour is None else s.colour for s in sources],
+        [s.occupancy.sums for s in sources],
+        [s.occupancy.least for s in sources],
+        [s.occupancy.greatest for s in sources],
+        np.stack([_numbers(s) for s in sources]),
+        *planes,
+        np.array([pool.floor_share, NEVER_HIDDEN_PX if pool.margin_px is None else pool.margin_px], np.float32),
+        no_colour if compared is None else compared,
+        np.array([term.weight, term.sigma_grey, term.cap, term.unknown, term.reach], np.float32),
+        np.array(rule, np.float32),
+        not pool.log_pool,
+        pool.literal,
+        skip_bricks,
+        skip_sources,
+        scale.unit,
+        round(scale.cap / scale.unit),
+        cost,
+        best,
+        threads,
     )
+    return FusedCost(cost, best, *counts)
 
 
-def _add_numpy(
-    volume: F32,
-    mass: F32 | None,
-    evidence: Evidence,
-    scale: ScaleFit,
-    matrix: F64,
-    offset: F64,
-    planes: tuple[float, float],
-    pool: Pool,
-    weight: float,
-    margin_px: float,
-    monitor: Monitor | None,
-) -> int:
-    """NumPy twin of `add_evidence`, plane by plane."""
-    height, width, count = volume.shape
-    ys, xs = np.mgrid[0:height, 0:width].astype(np.float32)
-    a, b = matrix.astype(np.float32), offset.astype(np.float32)
-    px, py, pz = (a[i, 0] * xs + a[i, 1] * ys + a[i, 2] for i in range(3))
-    source_height, source_width = evidence.disparity.shape
-    first, step = (np.float32(v) for v in evidence.planes_px)
-    neutral, flat = np.float32(-np.log(count)), np.float32(pool.floor_share / count)
-    inside_total = 0
-    for k in range(count):
-        w = np.float32(planes[0] + planes[1] * k)
-        z = pz + b[2] * w
-        inverse = np.where(z > 1e-6, 1 / np.maximum(z, np.float32(1e-6)), np.float32(0))
-        u, v = (px + b[0] * w) * inverse, (py + b[1] * w) * inverse
-        right, bottom = np.float32(source_width - 1), np.float32(source_height - 1)
-        inside = (z > 1e-6) & (u > -RIM_PX) & (v > -RIM_PX) & (u < right + RIM_PX) & (v < bottom + RIM_PX)
-        inside_total += int(inside.sum())
-        slot = volume[:, :, k]
-        if pool.log_pool:
-            slot[~inside] += np.float32(weight) * neutral
-        u, v = np.clip(u[inside], 0, right - RIM_PX), np.clip(v[inside], 0, bottom - RIM_PX)
-        inverse_in = inverse[inside]
-        source_w = np.full_like(u, w) if pool.literal else w * inverse_in
-        delta = (source_w - np.float32(scale.c)) / np.float32(scale.a)
-        p = _trilinear(evidence.probability, u, v, (delta - first) / step)
-        if not pool.log_pool:
-            assert mass is not None
-            slot[inside] += np.float32(weight) * p
-            mass[:, :, k][inside] += np.float32(weight)
-            continue
-        stretch = np.abs(np.float32(planes[1]) * pz[inside] * inverse_in**2 / (np.float32(scale.a) * step))
-        score = np.log((1 - np.float32(pool.floor_share)) * p * np.minimum(np.float32(4), stretch) + flat)
-        if pool.visibility:
-            seen = evidence.disparity[(v + 0.5).astype(np.int64), (u + 0.5).astype(np.int64)]
-            hidden = np.clip((seen - delta - np.float32(margin_px)) / np.float32(0.5 * margin_px), 0, 1)
-            score = np.maximum(score, score + hidden * (neutral - score))
-        slot[inside] += np.float32(weight) * score
-        if monitor:
-            monitor.advance(0)
-    return inside_total
+NEVER_HIDDEN_PX = 1e9
 
 
-def _trilinear(volume: np.ndarray[tuple[int, int, int], np.dtype[np.uint16]], u: F32, v: F32, q: F32) -> F32:
-    """Probability at (v, u, q), float32 [M]; 0 outside the plane range."""
-    planes = volume.shape[2]
-    valid = (q >= 0) & (q < planes - 1)
-    q = np.where(valid, q, 0)
-    iu, iv, iq = u.astype(np.int64), v.astype(np.int64), q.astype(np.int64)
-    fu, fv, fq = u - iu, v - iv, q - iq
-    flat = volume.reshape(-1)
-    base = (iv * volume.shape[1] + iu) * planes + iq
-    row = volume.shape[1] * planes
-
-    def along(start: np.ndarray[tuple[int], np.dtype[np.int64]]) -> F32:
-        near = flat[start].astype(np.float32)
-        return np.asarray(near + fq * (flat[start + 1] - near), np.float32)
-
-    top, low = along(base), along(base + row)
-    top += fu * (along(base + planes) - top)
-    low += fu * (along(base + row + planes) - low)
-    value = (top + fv * (low - top)) * np.float32(1 / 65535)
-    return np.where(valid, value, 0).astype(np.float32)
-
-
-def first_surface(
-    volume: F32, neutral: float, gap: int, tau: float, beta: float, cap: float, *, threads: int = 0
-) -> None:
-    """Lower, in place, the evidence of planes that lie behind strong nearer evidence.
-
-    Plane k pays ``min(cap, β·max(0, max_{j ≥ k+gap} (V[j] − neutral) − τ))``: a wall behind an object can be supported
-    by two sources while the object is out of frame in one of them, yet a ray ends at its first surface.
-    ``volume`` float32 [H, W, N], nearer planes last.
-    """
-    native = load_native(_NATIVE)
-    if native is not None:
-        native.first_surface(volume, neutral, gap, tau, beta, cap, threads)
-        return
-    over = np.clip(np.float32(beta) * (volume - np.float32(neutral) - np.float32(tau)), 0, cap)
-    nearest = np.maximum.accumulate(over[:, :, ::-1], axis=2)[:, :, ::-1]
-    volume[:, :, : volume.shape[2] - gap] -= nearest[:, :, gap:]
+def _numbers(source: SourceVolume) -> F32:
+    matrix, offset = source.projection
+    line = [source.scale.a, source.scale.c, *source.evidence.planes_px]
+    return np.concatenate([matrix.ravel(), offset, line]).astype(np.float32)

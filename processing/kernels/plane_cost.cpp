@@ -1,127 +1,299 @@
 // Photo-consistency sweep of a light field: mean truncated absolute difference per disparity plane, box-aggregated.
-// Twin: plane_cost.py. Arithmetic is 16-bit fixed point (grey x 64), which the compiler turns into pmulhrsw.
+// Twin: plane_cost.py.
+//
+// Work is cut into blocks of 32 x 18 pixels, whose box means cover 30 x 16. A block goes through its planes 16 at a
+// time and, for these, through the views a few at a time (lfrig/view_sums.hpp), so that views and sums stay in the L1
+// cache. Arithmetic is 16-bit fixed point (grey x 64).
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 
+#include <algorithm>
 #include <cmath>
 #include <cstdint>
 #include <cstring>
+#include <stdexcept>
+#include <vector>
 
 #include "lfrig/parallel.hpp"
+#include "lfrig/transpose.hpp"
+#include "lfrig/view_sums.hpp"
 
 namespace nb = nanobind;
 using nb::ndarray;
 
 namespace {
 
-struct Shift {
-    int dx, dy;
-    int16_t wx, wy;  // fractions in 1/32768
-};
+using lfrig::kLanes;
+using lfrig::kRows;
+using lfrig::Shift;
 
-Shift make_shift(float sx, float sy) {
-    Shift s;
-    s.dx = int(std::floor(sx));
-    s.dy = int(std::floor(sy));
-    s.wx = int16_t(std::min(32767, int(std::lrint((sx - s.dx) * 32768.0f))));
-    s.wy = int16_t(std::min(32767, int(std::lrint((sy - s.dy) * 32768.0f))));
-    return s;
+constexpr int kAcross = kLanes - 2, kDown = kRows - 2;  // what is left of a block after the 3 x 3 box
+constexpr int kTile = 8;                                // side of the squares that spans are given for
+constexpr int kPlanes = 16;                             // planes of a block that are swept together
+constexpr int kViews = 8;                               // at most so many views are swept together
+
+LFRIG_CLONES void add_totals(const uint16_t *__restrict part, uint16_t *__restrict total) {
+    for (int i = 0; i < kRows * kLanes; ++i) total[i] = uint16_t(total[i] + part[i]);
 }
 
-// acc[x] += min(|bilinear(view, x + shift) - centre[x]|, truncation)
-LFRIG_CLONES void accumulate_row(const int16_t *__restrict a, const int16_t *__restrict b, int16_t wx, int16_t wy,
-                                 const int16_t *__restrict centre, int16_t truncation, uint16_t *__restrict acc,
-                                 int width) {
-    for (int x = 0; x < width; ++x) {
-        const int16_t t0 = int16_t(a[x] + int16_t(((a[x + 1] - a[x]) * wx + 0x4000) >> 15));
-        const int16_t t1 = int16_t(b[x] + int16_t(((b[x + 1] - b[x]) * wx + 0x4000) >> 15));
-        const int16_t v = int16_t(t0 + int16_t(((t1 - t0) * wy + 0x4000) >> 15));
-        const int16_t e = int16_t(v - centre[x]);
-        const int16_t m = e < 0 ? int16_t(-e) : e;
-        acc[x] = uint16_t(acc[x] + (m < truncation ? m : truncation));
+// Means over views to the 3 x 3 box's: total [18][32] -> out [16][32], of which 30 columns are meant. `left` and
+// `right` are the columns at the image's sides, or -1; `top` and `bottom` the rows: there the border is repeated.
+LFRIG_CLONES void box(const uint16_t *__restrict total, uint32_t to_mean, uint32_t to_out, int top, int bottom,
+                      int left, int right, uint16_t *__restrict out) {
+    uint16_t mean[kRows][kLanes], sum[kLanes + 2];
+    for (int y = 0; y < kRows; ++y)
+        for (int x = 0; x < kLanes; ++x) mean[y][x] = uint16_t((total[y * kLanes + x] * to_mean + 0x8000u) >> 16);
+    for (int y = 0; y < kDown; ++y) {
+        const uint16_t *__restrict a = mean[y == top ? y + 1 : y], *__restrict b = mean[y + 1];
+        const uint16_t *__restrict c = mean[y == bottom ? y + 1 : y + 2];
+        for (int x = 0; x < kLanes; ++x) sum[x] = uint16_t(a[x] + b[x] + c[x]);
+        if (left >= 0) sum[left - 1] = sum[left];
+        if (right >= 0) sum[right + 1] = sum[right];
+        for (int x = 0; x < kAcross; ++x)
+            out[y * kLanes + x] = uint16_t((uint16_t(sum[x] + sum[x + 1] + sum[x + 2]) * to_out + 0x8000u) >> 16);
     }
 }
 
-LFRIG_CLONES void box_rows(const uint16_t *__restrict up, const uint16_t *__restrict mid,
-                           const uint16_t *__restrict down, float *__restrict sum, int width) {
-    for (int x = 0; x < width; ++x) sum[x] = float(up[x]) + float(mid[x]) + float(down[x]);
+// out = min(out, min(halves) + bias) where `edge`
+LFRIG_CLONES void take_halves(const uint16_t *__restrict halves, const uint8_t *__restrict edge, uint16_t bias,
+                              uint16_t *__restrict out) {
+    constexpr int n = kDown * kLanes;
+    for (int i = 0; i < n; ++i) {
+        const uint16_t a = std::min(halves[i], halves[n + i]), b = std::min(halves[2 * n + i], halves[3 * n + i]);
+        const int best = std::min(a, b) + bias;
+        out[i] = edge[i] && best < out[i] ? uint16_t(best) : out[i];
+    }
 }
 
-constexpr int kBlock = 64;  // pixels of a row that are computed or skipped together
+struct Group {       // views in one part of the aperture
+    int begin, end;  // in the list of chosen views
+    int row, column; // -1, 0 or 1: which side of the centre
+};
 
-// views: int16 [V, H + 2 pad, W + 2 pad] (grey x 64), offsets [V, 2] (dr, dc), out float32 [H, W, D] in grey levels.
-// active: uint8 [H, ceil(W / 64)]; blocks with 0 are skipped and keep an unspecified cost.
-void plane_cost(ndarray<const int16_t, nb::ndim<3>, nb::c_contig, nb::device::cpu> views,
-                ndarray<const int16_t, nb::ndim<2>, nb::c_contig, nb::device::cpu> centre_view,
-                ndarray<const float, nb::ndim<2>, nb::c_contig, nb::device::cpu> offsets,
-                ndarray<const uint8_t, nb::ndim<2>, nb::c_contig, nb::device::cpu> active, int pad, float first,
-                float step, int truncation, ndarray<float, nb::ndim<3>, nb::c_contig, nb::device::cpu> out,
-                int threads) {
-    const int count = int(views.shape(0)), rows = int(views.shape(1)), stride = int(views.shape(2));
-    const int height = int(out.shape(0)), width = int(out.shape(1)), planes = int(out.shape(2));
-    float reach = 0;
-    for (int v = 0; v < 2 * count; ++v) reach = std::max(reach, std::fabs(offsets.data()[v]));
-    reach *= std::max(std::fabs(first), std::fabs(first + step * float(planes - 1)));
-    if (reach > float(pad - 2)) throw std::invalid_argument("plane_cost: the views are not padded enough");
-    if (rows != height + 2 * pad || stride != width + 2 * pad || int(offsets.shape(0)) != count ||
-        int(centre_view.shape(0)) != rows || int(centre_view.shape(1)) != stride || count < 1 || count > 512 ||
-        int(active.shape(0)) != height || int(active.shape(1)) != (width + kBlock - 1) / kBlock || truncation < 1 ||
-        truncation > 32767)
-        throw std::invalid_argument("plane_cost: shapes do not match");
-    const int16_t *src = views.data(), *centre = centre_view.data();
-    const float *off = offsets.data();
-    const uint8_t *on = active.data();
-    const int blocks = int(active.shape(1));
-    float *dst = out.data();
-    nb::gil_scoped_release release;
-    // At most this many views fit a 16-bit sum before it is folded into the 32-bit one.
-    const int fold = std::max(1, 65535 / truncation);
-    std::vector<uint16_t> cost(size_t(height) * planes * width);
-    lfrig::parallel_for(height * blocks, threads, [&](int item) {
-        if (!on[item]) return;
-        const int y = item / blocks, x0 = (item % blocks) * kBlock, n = std::min(kBlock, width - x0);
-        uint16_t acc[kBlock];
-        uint32_t total[kBlock];
-        const int16_t *c = centre + size_t(y + pad) * stride + pad + x0;
-        for (int k = 0; k < planes; ++k) {
-            const float delta = first + step * float(k);
-            std::fill(total, total + n, 0u);
-            std::fill(acc, acc + n, uint16_t(0));
-            int held = 0;
-            for (int v = 0; v < count; ++v) {
-                const Shift s = make_shift(-off[2 * v + 1] * delta, -off[2 * v] * delta);
-                const int16_t *a = src + (size_t(v) * rows + size_t(y + pad + s.dy)) * stride + pad + x0 + s.dx;
-                accumulate_row(a, a + stride, s.wx, s.wy, c, int16_t(truncation), acc, n);
-                if (++held == fold || v == count - 1) {
-                    for (int x = 0; x < n; ++x) total[x] += acc[x];
-                    std::fill(acc, acc + n, uint16_t(0));
-                    held = 0;
-                }
+struct Sweep {
+    const int16_t *views, *centre;  // centre: of pixel (0, 0)
+    ptrdiff_t stride, origin;       // origin: of pixel (0, 0) in a view
+    int height, width, planes, count;
+    std::vector<Shift> shifts;      // [planes][count]
+    std::vector<Group> groups;
+    uint16_t cap, bias;
+    int fold, together;             // views whose costs fit 16 bits together
+    uint32_t to_mean[5], to_out;    // of all views and of the four halves
+    const int16_t *span;            // [ceil(H / 8), ceil(W / 8), 2] or null
+    const uint8_t *edges;           // [H, W] or null
+    bool only_edges;
+    lfrig::Accumulate accumulate;
+    uint16_t *out;
+};
+
+// The planes that any tile of a block needs.
+void planes_of(const Sweep &s, int x0, int y0, int n, int rows, int *first, int *last) {
+    *first = 0;
+    *last = s.planes;
+    if (!s.span) return;
+    const int across = (s.width + kTile - 1) / kTile;
+    int lo = s.planes, hi = 0;
+    for (int ty = y0 / kTile; ty <= (y0 + rows - 1) / kTile; ++ty)
+        for (int tx = x0 / kTile; tx <= (x0 + n - 1) / kTile; ++tx) {
+            const int16_t *p = s.span + 2 * (size_t(ty) * across + tx);
+            if (p[0] >= p[1]) continue;
+            lo = std::min(lo, int(p[0]));
+            hi = std::max(hi, int(p[1]));
+        }
+    *first = std::max(0, lo);
+    *last = std::min(s.planes, hi);
+}
+
+// box[k][y][x] of a block to out[y][x][first + k].
+void store(const Sweep &s, const uint16_t *from, int x0, int y0, int n, int rows, int first, int planes) {
+    for (int y = 0; y < rows; ++y) {
+        uint16_t *to = s.out + (size_t(y0 + y) * s.width + x0) * s.planes + first;
+        const uint16_t *line = from + y * kLanes;
+        for (int k = 0; k < planes; k += 8)
+            for (int x = 0; x < n; x += 8) {
+                const uint16_t *corner = line + size_t(k) * kDown * kLanes + x;
+                if (k + 8 <= planes && x + 8 <= n)
+                    lfrig::transpose8x8(corner, kDown * kLanes, to + size_t(x) * s.planes + k, s.planes);
+                else
+                    for (int i = 0; i < std::min(8, n - x); ++i)
+                        for (int j = 0; j < std::min(8, planes - k); ++j)
+                            to[size_t(x + i) * s.planes + k + j] = corner[size_t(j) * kDown * kLanes + i];
             }
-            uint16_t *o = cost.data() + (size_t(y) * planes + k) * width + x0;
-            for (int x = 0; x < n; ++x) o[x] = uint16_t((total[x] + unsigned(count) / 2) / unsigned(count));
+    }
+}
+
+// Likewise, for pixels on edges, where less than what is there.
+void store_lower(const Sweep &s, const uint16_t *from, const uint8_t *edge, int x0, int y0, int n, int rows, int first,
+                 int planes) {
+    for (int y = 0; y < rows; ++y)
+        for (int x = 0; x < n; ++x) {
+            if (!edge[y * kLanes + x]) continue;
+            uint16_t *to = s.out + (size_t(y0 + y) * s.width + x0 + x) * s.planes + first;
+            for (int k = 0; k < planes; ++k)
+                to[k] = std::min(to[k], from[(size_t(k) * kDown + y) * kLanes + x]);
         }
-    });
-    lfrig::parallel_for(height, threads, [&](int y) {
-        std::vector<float> sum(width + 2);
-        const int y0 = std::max(0, y - 1), y1 = std::min(height - 1, y + 1);
+}
+
+struct Scratch {
+    uint16_t total[5][kPlanes][kRows * kLanes];  // sums over all views, and over the four halves
+    uint16_t part[kRows * kLanes];
+    uint16_t boxed[kPlanes][kDown * kLanes], halves[4][kDown * kLanes];
+    uint8_t edge[kDown * kLanes];
+};
+
+bool find_edges(const Sweep &s, int x0, int y0, int n, int rows, uint8_t *edge) {
+    if (!s.edges) return false;
+    bool any = false;
+    std::memset(edge, 0, kDown * kLanes);
+    for (int y = 0; y < rows; ++y)
+        for (int x = 0; x < n; ++x)
+            any |= (edge[y * kLanes + x] = s.edges[size_t(y0 + y) * s.width + x0 + x] != 0);
+    return any;
+}
+
+void sum_views(const Sweep &s, ptrdiff_t pixel, int first, int planes, bool halves, Scratch &t) {
+    for (int part = 0; part < (halves ? 5 : 1); ++part)
+        std::memset(t.total[part], 0, sizeof t.total[part][0] * planes);
+    for (const Group &g : s.groups)
+        for (int v = g.begin; v < g.end; v += s.together)
+            for (int k = 0; k < planes; ++k) {
+                const Shift *shifts = s.shifts.data() + size_t(first + k) * s.count + v;
+                uint16_t *sum = halves ? t.part : t.total[0][k];
+                if (halves) std::memset(sum, 0, sizeof t.part);
+                s.accumulate(s.views + pixel, shifts, std::min(s.together, g.end - v), s.stride,
+                             s.centre + (pixel - s.origin), s.cap, s.fold, sum);
+                if (!halves) continue;
+                add_totals(sum, t.total[0][k]);
+                if (g.row) add_totals(sum, t.total[g.row < 0 ? 1 : 2][k]);
+                if (g.column) add_totals(sum, t.total[g.column < 0 ? 3 : 4][k]);
+            }
+}
+
+void sweep_block(const Sweep &s, int x0, int y0, Scratch &t) {
+    const int n = std::min(kAcross, s.width - x0), rows = std::min(kDown, s.height - y0);
+    const bool halves = find_edges(s, x0, y0, n, rows, t.edge);
+    if (s.only_edges && !halves) return;
+    int first, last;
+    planes_of(s, x0, y0, n, rows, &first, &last);
+    const ptrdiff_t pixel = s.origin + ptrdiff_t(y0 - 1) * s.stride + (x0 - 1);
+    const int top = y0 == 0 ? 0 : -1, bottom = y0 + rows == s.height ? rows - 1 : -1;
+    const int left = x0 == 0 ? 1 : -1, right = x0 + n == s.width ? n : -1;
+    for (int k0 = first; k0 < last; k0 += kPlanes) {
+        const int planes = std::min(kPlanes, last - k0);
+        sum_views(s, pixel, k0, planes, halves, t);
         for (int k = 0; k < planes; ++k) {
-            auto row = [&](int r) { return cost.data() + (size_t(r) * planes + k) * width; };
-            box_rows(row(y0), row(y), row(y1), sum.data() + 1, width);
-            sum[0] = sum[1];
-            sum[width + 1] = sum[width];
-            float *o = dst + size_t(y) * width * planes + k;
-            for (int x = 0; x < width; ++x)
-                if (on[size_t(y) * blocks + x / kBlock])
-                    o[size_t(x) * planes] = (sum[x] + sum[x + 1] + sum[x + 2]) * (1.0f / (9.0f * 64.0f));
+            box(t.total[0][k], s.to_mean[0], s.to_out, top, bottom, left, right, t.boxed[k]);
+            if (!halves) continue;
+            for (int h = 0; h < 4; ++h)
+                box(t.total[h + 1][k], s.to_mean[h + 1], s.to_out, top, bottom, left, right, t.halves[h]);
+            take_halves(t.halves[0], t.edge, s.bias, t.boxed[k]);
         }
+        if (s.only_edges)
+            store_lower(s, t.boxed[0], t.edge, x0, y0, n, rows, k0, planes);
+        else
+            store(s, t.boxed[0], x0, y0, n, rows, k0, planes);
+    }
+}
+
+int side(float offset) { return offset < 0 ? -1 : offset > 0; }
+
+// Views sorted by the part of the aperture that they are in.
+void group_views(Sweep &s, const int32_t *chosen, const float *offsets, std::vector<int> &order) {
+    for (int row = -1; row <= 1; ++row)
+        for (int column = -1; column <= 1; ++column) {
+            const int begin = int(order.size());
+            for (int i = 0; i < s.count; ++i)
+                if (side(offsets[2 * chosen[i]]) == row && side(offsets[2 * chosen[i] + 1]) == column)
+                    order.push_back(chosen[i]);
+            if (int(order.size()) > begin) s.groups.push_back({begin, int(order.size()), row, column});
+        }
+}
+
+void count_halves(const Sweep &s, int count[5]) {
+    std::fill(count, count + 5, 0);
+    for (const Group &g : s.groups) {
+        const int n = g.end - g.begin;
+        count[0] += n;
+        if (g.row) count[g.row < 0 ? 1 : 2] += n;
+        if (g.column) count[g.column < 0 ? 3 : 4] += n;
+    }
+}
+
+using Views = ndarray<const int16_t, nb::ndim<3>, nb::c_contig, nb::device::cpu>;
+
+// views int16 [V, rows, stride] (grey x 64), the image at (pad, pad); offsets float32 [V, 2] (dr, dc); chosen int32
+// [n]; span int16 [ceil(H / 8), ceil(W / 8), 2] or empty; edges uint8 [H, W] or empty; out uint16 [H, W, D] in `unit`
+// per grey level. `plain` keeps to the form that every machine runs.
+void plane_cost(Views views, int centre, ndarray<const float, nb::ndim<2>, nb::c_contig, nb::device::cpu> offsets,
+                ndarray<const int32_t, nb::ndim<1>, nb::c_contig, nb::device::cpu> chosen,
+                ndarray<const int16_t, nb::ndim<3>, nb::c_contig, nb::device::cpu> span,
+                ndarray<const uint8_t, nb::ndim<2>, nb::c_contig, nb::device::cpu> edges, bool only_edges, int pad,
+                float first, float step, int cap, int unit, int bias,
+                ndarray<uint16_t, nb::ndim<3>, nb::c_contig, nb::device::cpu> out, int threads, bool plain) {
+    Sweep s{};
+    const int total = int(views.shape(0)), view_rows = int(views.shape(1));
+    s.stride = int(views.shape(2));
+    s.height = int(out.shape(0)), s.width = int(out.shape(1)), s.planes = int(out.shape(2));
+    s.count = int(chosen.shape(0));
+    float furthest = 0;
+    bool known = centre >= 0 && centre < total && int(offsets.shape(0)) == total && offsets.shape(1) == 2;
+    for (int i = 0; i < s.count && known; ++i) {
+        const int v = chosen.data()[i];
+        if ((known = v >= 0 && v < total))
+            for (int j = 0; j < 2; ++j) furthest = std::max(furthest, std::fabs(offsets.data()[2 * v + j]));
+    }
+    const float reach = furthest * std::max(std::fabs(first), std::fabs(first + step * float(s.planes - 1)));
+    if (!(reach <= float(pad - 2))) throw std::invalid_argument("plane_cost: the views are not padded enough");
+    const int down = (s.height + kTile - 1) / kTile, across = (s.width + kTile - 1) / kTile;
+    if (!known || s.count < 1 || s.count > 4096 || s.height < 1 || s.width < 1 || s.planes < 1 || cap < 1 ||
+        cap > 32767 || unit < 1 || bias < 0 || bias > 32767 || view_rows < s.height + 2 * pad + kDown ||
+        int(s.stride) < s.width + 2 * pad + kLanes ||
+        (span.size() && (int(span.shape(0)) != down || int(span.shape(1)) != across || span.shape(2) != 2)) ||
+        (edges.size() && (int(edges.shape(0)) != s.height || int(edges.shape(1)) != s.width)))
+        throw std::invalid_argument("plane_cost: shapes do not match");
+    s.views = views.data();
+    s.origin = ptrdiff_t(pad) * s.stride + pad;
+    const ptrdiff_t view_size = ptrdiff_t(view_rows) * s.stride;
+    s.centre = s.views + centre * view_size + s.origin;
+    s.span = span.size() ? span.data() : nullptr;
+    s.edges = edges.size() ? edges.data() : nullptr;
+    s.only_edges = only_edges;
+    s.cap = uint16_t(cap), s.bias = uint16_t(bias);
+    s.accumulate = plain ? lfrig::accumulate_plain : lfrig::fastest();
+    s.out = out.data();
+    s.together = std::min(kViews, 65534 / cap);
+    // Sums over all views are kept in 16 bits, each group's rounded to `fold` bits less.
+    const int64_t most = int64_t(s.count) * cap + s.count;
+    while ((most >> s.fold) > 65535) ++s.fold;
+    // A mean is kept with as many bits as let nine of them fit 16 bits.
+    const double fine = 65535.0 / 9 / (cap + 1);
+    std::vector<int> order;
+    group_views(s, chosen.data(), offsets.data(), order);
+    int members[5];
+    count_halves(s, members);
+    for (int i = 0; i < 5; ++i)
+        s.to_mean[i] = members[i] ? uint32_t(std::lrint(65536.0 * double(1 << s.fold) * fine / members[i])) : 0;
+    s.to_out = uint32_t(std::lrint(65536.0 * unit / (64.0 * 9.0 * fine)));
+    if (s.edges && !(members[1] && members[2] && members[3] && members[4]))
+        throw std::invalid_argument("plane_cost: half of the aperture has no view");
+    nb::gil_scoped_release release;
+    for (int k = 0; k < s.planes; ++k)
+        for (int v : order) {
+            const float delta = first + step * float(k), *o = offsets.data() + 2 * v;
+            s.shifts.push_back(lfrig::shift_of(-o[1] * delta, -o[0] * delta, v * view_size, s.stride));
+        }
+    const int bands = (s.height + kDown - 1) / kDown;
+    lfrig::parallel_for(bands, threads, [&](int band) {
+        std::vector<Scratch> scratch(1);
+        for (int x0 = 0; x0 < s.width; x0 += kAcross) sweep_block(s, x0, band * kDown, scratch[0]);
     });
 }
 
 }  // namespace
 
 void register_plane_cost(nb::module_ &m) {
-    m.def("plane_cost", &plane_cost, nb::arg("views").noconvert(), nb::arg("centre").noconvert(),
-          nb::arg("offsets").noconvert(), nb::arg("active").noconvert(), nb::arg("pad"), nb::arg("first"), nb::arg("step"), nb::arg("truncation"),
-          nb::arg("out").noconvert(), nb::arg("threads"));
+    m.def("plane_cost", &plane_cost, nb::arg("views").noconvert(), nb::arg("centre"), nb::arg("offsets").noconvert(),
+          nb::arg("chosen").noconvert(), nb::arg("span").noconvert(), nb::arg("edges").noconvert(),
+          nb::arg("only_edges"), nb::arg("pad"), nb::arg("first"), nb::arg("step"), nb::arg("cap"), nb::arg("unit"),
+          nb::arg("bias"), nb::arg("out").noconvert(), nb::arg("threads"), nb::arg("plain"));
 }

@@ -17,14 +17,21 @@ using nb::ndarray;
 namespace {
 
 constexpr int kRun = 64;     // pixels of one row that are fitted together
+constexpr int kLanes = 16;   // runs are filled up to a multiple of this
 constexpr int kMoments = 9;  // 1, x, y, xx, xy, yy of the weights; 1, x, y of the rise
 
-struct Row {  // of the picture, from the first pixel of the run
-    const float *value, *weight, *red, *green, *blue;
+// value, weight, red, green, blue with a margin all around whose weight is 0: [5, H + 2 radius, wide].
+struct Picture {
+    int radius;
+    size_t wide, area;
+    std::vector<float> padded;
+
+    const float *at(int y, int x) const { return padded.data() + size_t(y + radius) * wide + size_t(x + radius); }
 };
 
 struct Run {  // what the pixels of a run know of themselves
-    float value[kRun], red[kRun], green[kRun], blue[kRun], slope_x[kRun], slope_y[kRun], ceiling[kRun];
+    float slope_x[kRun], slope_y[kRun], ceiling[kRun];
+    float line[5][kRun];  // moments of one line of neighbours: 1, x, xx of the weights; 1, x of the rise
     float moments[kMoments][kRun];
 };
 
@@ -32,42 +39,59 @@ struct Kernel {
     float per_value, per_grey, per_square;
 };
 
-// Adds the neighbours at (dx, dy) to pixels [begin, end) of a run.
-LFRIG_CLONES void add_neighbours(const Row &row, int dx, int dy, const Kernel &k, Run &run, int begin, int end) {
-    const float fx = float(dx), fy = float(dy), away = float(dx * dx + dy * dy) * k.per_square;
-    const float *__restrict value = row.value + dx, *__restrict weight = row.weight + dx;
-    const float *__restrict red = row.red + dx, *__restrict green = row.green + dx, *__restrict blue = row.blue + dx;
-    for (int i = begin; i < end; ++i) {
-        const float rise = value[i] - run.value[i];
-        const float residual = (rise - run.slope_x[i] * fx - run.slope_y[i] * fy) * k.per_value;
-        const float colour =
-            std::fabs(red[i] - run.red[i]) + std::fabs(green[i] - run.green[i]) + std::fabs(blue[i] - run.blue[i]);
+// Adds the neighbours at (dx, dy) to the line moments of the first `width` pixels of a run.
+LFRIG_CLONES void add_neighbours(const float *own, const float *other, size_t area, float dx, float dy,
+                                 const Kernel &k, Run &run, int width) {
+    const float away = (dx * dx + dy * dy) * k.per_square, square = dx * dx;
+    const float *__restrict value = own, *__restrict red = own + 2 * area, *__restrict green = own + 3 * area;
+    const float *__restrict blue = own + 4 * area, *__restrict weight = other + area;
+    for (int i = 0; i < width; ++i) {
+        const float rise = other[i] - value[i];
+        const float residual = (rise - run.slope_x[i] * dx - run.slope_y[i] * dy) * k.per_value;
+        const float colour = std::fabs(other[2 * area + i] - red[i]) + std::fabs(other[3 * area + i] - green[i]) +
+                             std::fabs(other[4 * area + i] - blue[i]);
         float q = weight[i] * lfrig::exp_of_minus(residual * residual + colour * k.per_grey + away);
-        q = value[i] <= run.ceiling[i] ? q : 0.0f;
+        q = other[i] <= run.ceiling[i] ? q : 0.0f;
         const float t = q * rise;
-        run.moments[0][i] += q;
-        run.moments[1][i] += q * fx;
-        run.moments[2][i] += q * fy;
-        run.moments[3][i] += q * (fx * fx);
-        run.moments[4][i] += q * (fx * fy);
-        run.moments[5][i] += q * (fy * fy);
-        run.moments[6][i] += t;
-        run.moments[7][i] += t * fx;
-        run.moments[8][i] += t * fy;
+        run.line[0][i] += q;
+        run.line[1][i] += q * dx;
+        run.line[2][i] += q * square;
+        run.line[3][i] += t;
+        run.line[4][i] += t * dx;
     }
 }
 
-// The symmetric 3x3 system of one pixel, in double precision.
-void solve(const Run &run, int i, double ridge, float *rise, float *slope_x, float *slope_y) {
-    double m[kMoments];
-    for (int j = 0; j < kMoments; ++j) m[j] = run.moments[j][i];
-    const double s0 = m[0] + 1e-9, sx = m[1], sy = m[2], sxx = m[3] + ridge, sxy = m[4], syy = m[5] + ridge;
-    const double m00 = sxx * syy - sxy * sxy, m01 = sy * sxy - sx * syy, m02 = sx * sxy - sy * sxx;
-    const double m11 = s0 * syy - sy * sy, m12 = sx * sy - s0 * sxy, m22 = s0 * sxx - sx * sx;
-    const double determinant = s0 * m00 + sx * m01 + sy * m02;
-    *rise = float((m00 * m[6] + m01 * m[7] + m02 * m[8]) / determinant);
-    *slope_x = float((m01 * m[6] + m11 * m[7] + m12 * m[8]) / determinant);
-    *slope_y = float((m02 * m[6] + m12 * m[7] + m22 * m[8]) / determinant);
+// Adds the moments of a line of neighbours, dy below, to those of the run and clears them.
+LFRIG_CLONES void add_line(Run &run, float dy, int width) {
+    for (int i = 0; i < width; ++i) {
+        const float one = run.line[0][i], x = run.line[1][i], rise = run.line[3][i];
+        run.moments[0][i] += one;
+        run.moments[1][i] += x;
+        run.moments[2][i] += one * dy;
+        run.moments[3][i] += run.line[2][i];
+        run.moments[4][i] += x * dy;
+        run.moments[5][i] += one * (dy * dy);
+        run.moments[6][i] += rise;
+        run.moments[7][i] += run.line[4][i];
+        run.moments[8][i] += rise * dy;
+    }
+    for (auto &line : run.line) std::fill(line, line + width, 0.0f);
+}
+
+// The symmetric 3x3 systems of a run, in double precision.
+LFRIG_CLONES void solve(const Run &run, int width, double ridge, float *__restrict rise, float *__restrict slope_x,
+                        float *__restrict slope_y) {
+    for (int i = 0; i < width; ++i) {
+        const double s0 = double(run.moments[0][i]) + 1e-9, sx = run.moments[1][i], sy = run.moments[2][i];
+        const double sxx = run.moments[3][i] + ridge, sxy = run.moments[4][i], syy = run.moments[5][i] + ridge;
+        const double t0 = run.moments[6][i], tx = run.moments[7][i], ty = run.moments[8][i];
+        const double m00 = sxx * syy - sxy * sxy, m01 = sy * sxy - sx * syy, m02 = sx * sxy - sy * sxx;
+        const double m11 = s0 * syy - sy * sy, m12 = sx * sy - s0 * sxy, m22 = s0 * sxx - sx * sx;
+        const double one = 1.0 / (s0 * m00 + sx * m01 + sy * m02);
+        rise[i] = float((m00 * t0 + m01 * tx + m02 * ty) * one);
+        slope_x[i] = float((m01 * t0 + m11 * tx + m12 * ty) * one);
+        slope_y[i] = float((m02 * t0 + m12 * tx + m22 * ty) * one);
+    }
 }
 
 using Map = ndarray<const float, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
@@ -102,32 +126,36 @@ void plane_fit(Map values, Map weights, Stack guide,
     float *to = out.data();
     const Kernel kernel{1.0f / sigma_value, 1.0f / sigma_grey, 1.0f / float(radius * radius)};
     nb::gil_scoped_release release;
+    Picture picture{radius, size_t(width) + 2 * size_t(radius) + kLanes, 0, {}};
+    picture.area = picture.wide * (size_t(height) + 2 * size_t(radius));
+    picture.padded.assign(5 * picture.area, 0.0f);
+    const float *planes[5] = {value, weight, colour, colour + area, colour + 2 * area};
+    for (size_t n = 0; n < 5; ++n)
+        for (int y = 0; y < height; ++y)
+            std::copy(planes[n] + size_t(y) * width, planes[n] + size_t(y + 1) * width,
+                      picture.padded.data() + n * picture.area + size_t(y + radius) * picture.wide + radius);
     lfrig::parallel_for(count, threads, [&](int r) {
         const int y = run_of[3 * r], x0 = run_of[3 * r + 1], n = run_of[3 * r + 2];
+        const int filled = (n + kLanes - 1) / kLanes * kLanes;
         const size_t at = size_t(y) * size_t(width) + size_t(x0);
-        Run run;
-        std::fill(&run.moments[0][0], &run.moments[0][0] + kMoments * kRun, 0.0f);
+        const float *own = picture.at(y, x0);
+        Run run{};
         for (int i = 0; i < n; ++i) {
-            run.value[i] = value[at + i];
-            run.red[i] = colour[at + i];
-            run.green[i] = colour[area + at + i];
-            run.blue[i] = colour[2 * area + at + i];
             run.slope_x[i] = sloped ? slope[at + i] : 0.0f;
             run.slope_y[i] = sloped ? slope[area + at + i] : 0.0f;
             run.ceiling[i] = bounded ? top[at + i] : INFINITY;
         }
         for (int dy = -radius; dy <= radius; dy += stride) {
             if (y + dy < 0 || y + dy >= height) continue;
-            const size_t from = size_t(y + dy) * size_t(width) + size_t(x0);
-            const Row row{value + from, weight + from, colour + from, colour + area + from, colour + 2 * area + from};
+            const float *line = own + ptrdiff_t(dy) * ptrdiff_t(picture.wide);
             for (int dx = -radius; dx <= radius; dx += stride)
-                add_neighbours(row, dx, dy, kernel, run, std::max(0, -x0 - dx), std::min(n, width - x0 - dx));
+                add_neighbours(own, line + dx, picture.area, float(dx), float(dy), kernel, run, filled);
+            add_line(run, float(dy), filled);
         }
         float *o = to + first[size_t(r)];
+        solve(run, n, ridge, o, o + total, o + 2 * total);
         for (int i = 0; i < n; ++i) {
-            float rise;
-            solve(run, i, ridge, &rise, o + total + i, o + 2 * total + i);
-            o[i] = run.value[i] + rise;
+            o[i] += own[i];
             o[3 * total + i] = run.moments[0][i];
         }
     });

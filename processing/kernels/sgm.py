@@ -1,21 +1,21 @@
-"""Semi-global matching along 8 paths (Hirschmüller, PAMI 2008, eq. 13) on a float cost volume.
+"""Semi-global matching along 8 paths (Hirschmüller, PAMI 2008, eq. 13) in 16-bit fixed point.
 
-``L(p, k) = C(p, k) + min(L(q, k), L(q, k±1) + P1, min_j L(q, j) + P2(p, q)) − min_j L(q, j)``; the result is the mean
-over the paths, in the units of the cost. P2 is lowered where the guide image has an edge. Where labels are relative to
+``L(p, k) = C(p, k) + min(L(q, k), L(q, k±1) + P1, min_j L(q, j) + P2(p, q)) − min_j L(q, j)``; the result is the sum
+over the paths. P2 is lowered where the guide image has an edge. Where labels are relative to
 a surface of their own at each pixel, ``shift`` says which labels of neighbours lie on one plane (SGM-P: Scharstein,
 Taniai & Sinha, 3DV 2017). C++ form: ``sgm.cpp``.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lfrig.contracts.native import load_native
-from lfrig.contracts.progress import Monitor
-from lfrig.processing.model import F32, U8
+from lfrig.processing.model import U8
 
 I16 = NDArray[np.int16]
 U16 = NDArray[np.uint16]
@@ -25,83 +25,10 @@ SPAN_TILE = 8
 """Pixels; one range of active labels for each tile of so many by so many."""
 PATH_LIMIT = 8191
 """What the cost of one path may reach in fixed point: eight of them fit 16 bits."""
+WALL = 32767
+"""The cost of a label that no path comes from, in the NumPy twin."""
 INACTIVE = 65535
 """The aggregated cost of a label outside its tile's span."""
-
-
-def edge_penalties(guide: U8, p1: float, p2: float, edge_grey: float) -> F32:
-    """P2 between neighbours, ``p2 / (1 + Σ_rgb|ΔI| / edge_grey)``, never below 1.5·P1.
-
-    Returns
-    -------
-    float32 [4, H, W] : to the right, down, down-right and down-left neighbour; last rows/columns unused.
-    """
-    image = guide.astype(np.float32)
-    out = np.full((4, *guide.shape[:2]), p2, np.float32)
-
-    def penalty(a: F32, b: F32) -> F32:
-        step = np.abs(a - b).sum(-1)
-        lowered = np.float32(p2) / (1 + step / np.float32(edge_grey))
-        return np.asarray(np.maximum(np.float32(1.5 * p1), lowered), np.float32)
-
-    out[0, :, :-1] = penalty(image[:, :-1], image[:, 1:])
-    out[1, :-1] = penalty(image[:-1], image[1:])
-    out[2, :-1, :-1] = penalty(image[:-1, :-1], image[1:, 1:])
-    out[3, :-1, 1:] = penalty(image[:-1, 1:], image[1:, :-1])
-    return out
-
-
-def aggregate(
-    cost: F32,
-    guide: U8,
-    p1: float,
-    p2: float,
-    edge_grey: float,
-    *,
-    shift: I16 | None = None,
-    threads: int = 0,
-    monitor: Monitor | None = None,
-) -> F32:
-    """Aggregate a cost volume.
-
-    Parameters
-    ----------
-    cost : float32 [H, W, D]
-    guide : uint8 [H, W, 3]
-        Image whose edges lower P2.
-    p1, p2 : float
-        Penalties for a change of one label and of more, in units of the cost.
-    edge_grey : float
-        Sum of the absolute RGB differences that halves P2.
-    shift : int16 [4, H, W], optional
-        Label k of a pixel continues as label k + shift of its right, down, down-right and down-left neighbour;
-        beyond ±D nothing continues. None = labels mean the same everywhere.
-
-    Returns
-    -------
-    float32 [H, W, D], mean over 8 paths.
-    """
-    if cost.shape[:2] != guide.shape[:2]:
-        raise ValueError(f"shapes do not match: cost {cost.shape}, guide {guide.shape}")
-    if shift is not None and shift.shape != (4, *guide.shape[:2]):
-        raise ValueError(f"shapes do not match: cost {cost.shape}, shift {shift.shape}")
-    penalties = edge_penalties(guide, p1, p2, edge_grey)
-    native = load_native("lfrig.processing.kernels._native")
-    if native is None:
-        return aggregate_numpy(cost, penalties, p1, shift, monitor)
-    out = np.empty_like(cost)
-    moved = np.zeros((0, 0, 0), np.int16) if shift is None else np.ascontiguousarray(shift, np.int16)
-    native.sgm(np.ascontiguousarray(cost), penalties, moved, p1, out, threads)
-    return out
-
-
-def aggregate_numpy(
-    cost: F32, penalties: F32, p1: float, shift: I16 | None = None, monitor: Monitor | None = None
-) -> F32:
-    """NumPy twin; ``penalties`` from `edge_penalties`."""
-    total = _sum_of_paths(cost, penalties, np.float32(p1), shift, None, monitor)
-    total *= np.float32(0.125)
-    return total
 
 
 def _sum_of_paths(
@@ -110,7 +37,6 @@ def _sum_of_paths(
     p1: np.generic,
     shift: I16 | None,
     active: Mask | None,
-    monitor: Monitor | None = None,
 ) -> NDArray[Any]:
     """Sum over the 8 paths in the cost's type, [H, W, D]; 0 where a label is not ``active``."""
     total = np.zeros_like(cost)
@@ -127,11 +53,11 @@ def _sum_of_paths(
     sweeps = [(volume, down, diagonal, anti)]
     sweeps.append((turned, _towards(down, 1, 0), _towards(diagonal, 1, 1), _towards(anti, 1, -1)))
     for v, s_down, s_diagonal, s_anti in sweeps:
-        _sweep(v, s_down, 0, p1, monitor)
-        _sweep(v, s_diagonal, 1, p1, monitor)
-        _sweep(v, s_anti, -1, p1, monitor)
+        _sweep(v, s_down, 0, p1)
+        _sweep(v, s_diagonal, 1, p1)
+        _sweep(v, s_anti, -1, p1)
     for (c, a, t), step in ((volume, right), (turned, _towards(right, 0, 1))):
-        _sweep((c.swapaxes(0, 1), a.swapaxes(0, 1), t.swapaxes(0, 1)), _transposed(step), 0, p1, monitor)
+        _sweep((c.swapaxes(0, 1), a.swapaxes(0, 1), t.swapaxes(0, 1)), _transposed(step), 0, p1)
     return total
 
 
@@ -152,20 +78,14 @@ def _transposed(step: Step) -> Step:
     return step[0].T, step[1].T
 
 
-def _wall(kind: np.dtype[Any]) -> Any:
-    """The value of a label that no path comes from."""
-    return kind.type(1e30 if kind.kind == "f" else 32767)
-
-
-def _sweep(volume: Volume, step: Step, slant: int, p1: np.generic, monitor: Monitor | None) -> None:
+def _sweep(volume: Volume, step: Step, slant: int, p1: np.generic) -> None:
     """Add the paths that run from line i − 1, position x − slant, to line i, position x, to the sum in place.
 
     ``step[…][i − 1, x − slant]`` belongs to that step.
     """
     cost, active, total = volume
     penalty, shift = step
-    wall = _wall(cost.dtype)
-    previous = np.where(active[0], cost[0], wall)
+    previous = np.where(active[0], cost[0], WALL)
     total[0] += np.where(active[0], cost[0], 0)
     for i in range(1, cost.shape[0]):
         gained = _best_step(previous, penalty[i - 1], shift[i - 1], p1)
@@ -177,24 +97,21 @@ def _sweep(volume: Volume, step: Step, slant: int, p1: np.generic, monitor: Moni
         else:
             current[:slant] += gained[-slant:]
         total[i] += np.where(active[i], current, 0)
-        previous = np.where(active[i], current, wall)
-        if monitor and i % 64 == 0:
-            monitor.advance(0)
+        previous = np.where(active[i], current, WALL)
 
 
 def _best_step(previous: NDArray[Any], penalty: NDArray[Any], shift: NDArray[np.int64], p1: np.generic) -> NDArray[Any]:
     """What a path adds to the costs of its next line, [W, D]; nothing behind a pixel without any label."""
-    wall = _wall(previous.dtype)
     lowest = previous.min(1, keepdims=True)
     labels = np.arange(previous.shape[1])
-    near = np.pad(previous, ((0, 0), (1, 1)), constant_values=wall)
+    near = np.pad(previous, ((0, 0), (1, 1)), constant_values=WALL)
     if shift.any():
         near = _shifted(previous, labels - shift[:, None])
     best = np.minimum(near[:, :-2], near[:, 2:])
     best += p1
     np.minimum(best, near[:, 1:-1], out=best)
     np.minimum(best, lowest + penalty[:, None], out=best)
-    return np.where(lowest < wall, best - lowest, 0)
+    return np.where(lowest < WALL, best - lowest, 0)
 
 
 def _shifted(values: NDArray[Any], wanted: NDArray[np.int64]) -> NDArray[Any]:
@@ -203,10 +120,10 @@ def _shifted(values: NDArray[Any], wanted: NDArray[np.int64]) -> NDArray[Any]:
     everywhere = np.concatenate([wanted[:, :1] - 1, wanted, wanted[:, -1:] + 1], axis=1)
     inside = (everywhere >= 0) & (everywhere < planes)
     read = np.take_along_axis(values, np.clip(everywhere, 0, planes - 1), axis=1)
-    return np.where(inside, read, _wall(values.dtype))
+    return np.where(inside, read, WALL)
 
 
-def aggregate_u16(
+def aggregate(
     cost: U16,
     guide: U8,
     p1: float,
@@ -253,30 +170,72 @@ def aggregate_u16(
     fits = guide.shape[:2] == (height, width) and (shift is None or shift.shape == (4, height, width))
     if not fits or (span is not None and span.shape != tiles) or (out is not None and out.shape != cost.shape):
         raise ValueError(f"shapes do not match the cost's {cost.shape}")
-    table = penalty_table(p1, p2, edge_grey)
-    step, cap = round(p1), PATH_LIMIT - int(table.max())
-    if not 0 <= step <= PATH_LIMIT or cap < 1:
-        raise ValueError(f"penalties {p1:g} and {p2:g} leave no room below {PATH_LIMIT}: take a coarser unit")
+    penalties = Penalties.of(guide, p1, p2, edge_grey, threads=threads)
     native = load_native("lfrig.processing.kernels._native")
     if native is None:
-        total = _aggregate_u16_numpy(np.minimum(cost, cap), _penalties_numpy(guide, table), step, span, shift)
+        total = aggregate_numpy(cost, penalties, span, shift)
         if out is None:
             return total
         out[:] = total
         return out
-    penalties = np.empty((4, height, width), np.uint16)
-    native.edge_penalties(np.ascontiguousarray(guide), table, penalties, threads)
     result = np.empty_like(cost, order="C") if out is None else out
-    none = np.zeros((0, 0, 0), np.int16)
-    moved, active = (none if a is None else np.ascontiguousarray(a, np.int16) for a in (shift, span))
-    native.sgm_u16(np.ascontiguousarray(cost), penalties, moved, active, step, cap, result, threads)
+    native.sgm(
+        np.ascontiguousarray(cost), penalties.jump, optional_i16(shift), optional_i16(span), penalties.step,
+        penalties.cap, result, threads,
+    )  # fmt: skip
     return result
 
 
-def penalty_table(p1: float, p2: float, edge_grey: float) -> U16:
-    """P2 in fixed point by the sum of the absolute RGB differences 0..765, uint16 [766] (see `edge_penalties`)."""
-    lowered = p2 / (1 + np.arange(766) / edge_grey)
-    return np.asarray(np.rint(np.clip(np.maximum(1.5 * p1, lowered), 0, PATH_LIMIT)), np.uint16)
+def finest_unit(cap: float, p1: float, p2: float) -> int:
+    """Fixed-point steps per unit of cost for `aggregate`: as many as let costs up to ``cap`` and the penalties fit.
+
+    Raises
+    ------
+    ValueError
+        Not even one does.
+    """
+    unit = int(PATH_LIMIT / (cap + max(p2, 1.5 * p1)))
+    if unit < 1:
+        raise ValueError(f"costs up to {cap:g} and penalties {p1:g} and {p2:g} do not fit below {PATH_LIMIT}")
+    return unit
+
+
+@dataclass(frozen=True)
+class Penalties:
+    """Of changes of label, in fixed point: ``step`` (P1) and ``jump`` uint16 [4, H, W], P2 to the right, down,
+    down-right and down-left neighbour (last rows and columns unused); and ``cap``, the most that a cost may be.
+    """
+
+    step: int
+    jump: U16
+    cap: int
+
+    @classmethod
+    def of(cls, guide: U8, p1: float, p2: float, edge_grey: float, *, threads: int = 0) -> Penalties:
+        """Lowered at the edges of the guide, as by `edge_penalties`.
+
+        Raises
+        ------
+        ValueError
+            They leave no room for costs.
+        """
+        # By the sum of the absolute RGB differences, 0..765.
+        lowered = p2 / (1 + np.arange(766) / edge_grey)
+        table = np.rint(np.clip(np.maximum(1.5 * p1, lowered), 0, PATH_LIMIT)).astype(np.uint16)
+        step, cap = round(p1), PATH_LIMIT - int(table.max())
+        if not 0 <= step <= PATH_LIMIT or cap < 1:
+            raise ValueError(f"penalties {p1:g} and {p2:g} leave no room below {PATH_LIMIT}: take a coarser unit")
+        native = load_native("lfrig.processing.kernels._native")
+        if native is None:
+            return cls(step, _penalties_numpy(guide, table), cap)
+        jump = np.empty((4, *guide.shape[:2]), np.uint16)
+        native.edge_penalties(np.ascontiguousarray(guide), table, jump, threads)
+        return cls(step, jump, cap)
+
+
+def optional_i16(values: I16 | None) -> I16:
+    """As the kernels take it: empty where there is none."""
+    return np.zeros((0, 0, 0), np.int16) if values is None else np.ascontiguousarray(values, np.int16)
 
 
 def _penalties_numpy(guide: U8, table: U16) -> U16:
@@ -290,10 +249,11 @@ def _penalties_numpy(guide: U8, table: U16) -> U16:
     return out
 
 
-def _aggregate_u16_numpy(cost: U16, penalties: U16, p1: int, span: I16 | None, shift: I16 | None) -> U16:
-    """NumPy twin of `aggregate_u16`; ``cost`` is already capped."""
+def aggregate_numpy(cost: U16, penalties: Penalties, span: I16 | None, shift: I16 | None) -> U16:
+    """NumPy twin of `aggregate`."""
     active = None if span is None else active_labels(span, cost.shape)
-    total = _sum_of_paths(cost.astype(np.int32), penalties.astype(np.int32), np.int32(p1), shift, active)
+    capped = np.minimum(cost, penalties.cap).astype(np.int32)
+    total = _sum_of_paths(capped, penalties.jump.astype(np.int32), np.int32(penalties.step), shift, active)
     if active is not None:
         total[~active] = INACTIVE
     return np.asarray(total, np.uint16)

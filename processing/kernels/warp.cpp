@@ -2,55 +2,66 @@
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 
-#include <cmath>
+#include <algorithm>
 #include <cstdint>
+#include <stdexcept>
+#include <vector>
 
+#include "lfrig/cpu.hpp"
 #include "lfrig/parallel.hpp"
+#include "lfrig/taps.hpp"
+#include "parts/pair_sampling.hpp"
 
 namespace nb = nanobind;
 using nb::ndarray;
 
 namespace {
 
-// Catmull-Rom weights (Keys 1981, a = -1/2) of the four taps around a fraction t in [0, 1).
-inline void cubic_weights(float t, float w[4]) {
-    const float t2 = t * t, t3 = t2 * t;
-    w[0] = -0.5f * t3 + t2 - 0.5f * t;
-    w[1] = 1.5f * t3 - 2.5f * t2 + 1.0f;
-    w[2] = -1.5f * t3 + 2.0f * t2 + 0.5f * t;
-    w[3] = 0.5f * t3 - 0.5f * t2;
-}
+constexpr int PAD = 3;  // beyond it all taps are the border's
 
-inline int clamp_index(int i, int n) { return i < 0 ? 0 : (i >= n ? n - 1 : i); }
-
-// One output row: out[x] = image(y + dr * field[x], x + dc * field[x]), bicubic, border replicated.
+// One row of the image with its border continued: float32 [width + 2 PAD, 4].
 template <class T>
-void warp_row(const T *image, int height, int width, const float *field, float dr, float dc, int y, T *out) {
-    const float limit = sizeof(T) == 1 ? 255.0f : 65535.0f;
-    for (int x = 0; x < width; ++x) {
-        float d = field[x];
-        if (!std::isfinite(d)) d = 0.0f;
-        const float fx = std::fmin(std::fmax(float(x) + dc * d, -1.0f), float(width));
-        const float fy = std::fmin(std::fmax(float(y) + dr * d, -1.0f), float(height));
-        const int ix = int(std::floor(fx)), iy = int(std::floor(fy));
-        float wx[4], wy[4];
-        cubic_weights(fx - float(ix), wx);
-        cubic_weights(fy - float(iy), wy);
-        float sum[3] = {0, 0, 0};
-        for (int j = 0; j < 4; ++j) {
-            const T *row = image + size_t(clamp_index(iy - 1 + j, height)) * width * 3;
-            float part[3] = {0, 0, 0};
-            for (int i = 0; i < 4; ++i) {
-                const T *p = row + size_t(clamp_index(ix - 1 + i, width)) * 3;
-                for (int c = 0; c < 3; ++c) part[c] += wx[i] * float(p[c]);
-            }
-            for (int c = 0; c < 3; ++c) sum[c] += wy[j] * part[c];
-        }
-        for (int c = 0; c < 3; ++c) out[3 * x + c] = T(std::fmin(std::fmax(sum[c], 0.0f), limit) + 0.5f);
+void padded_row(const T *image, int height, int width, int y, float *out) {
+    const T *row = image + size_t(std::clamp(y - PAD, 0, height - 1)) * width * 3;
+    for (int x = 0; x < width + 2 * PAD; ++x) {
+        const T *pixel = row + size_t(std::clamp(x - PAD, 0, width - 1)) * 3;
+        for (int c = 0; c < 3; ++c) out[4 * x + c] = float(pixel[c]);
+        out[4 * x + 3] = 0.0f;
     }
 }
 
-template <class T>
+// 8 bits: the image in fixed point.
+struct Source8 {
+    lfrig::PairPicture picture;
+
+    Source8(const uint8_t *image, int height, int width) : picture(height + 2 * PAD, width + 2 * PAD, PAD) {
+        std::vector<float> row(size_t(picture.width) * 4);
+        for (int y = 0; y < picture.height; ++y) {
+            padded_row(image, height, width, y, row.data());
+            picture.set_row(y, row.data());
+        }
+    }
+    void row(const float *field, float dr, float dc, int y, int count, uint8_t *out) const {
+        lfrig::sample_pairs_row(picture, lfrig::keys_taps(), field, dr, dc, y, count, out);
+    }
+};
+
+// 16 bits: fixed point would be too coarse.
+struct Source16 {
+    int height, width;
+    std::vector<float> picture;
+
+    Source16(const uint16_t *image, int rows, int cols)
+        : height(rows + 2 * PAD), width(cols + 2 * PAD), picture(size_t(height) * width * 4) {
+        for (int y = 0; y < height; ++y) padded_row(image, rows, cols, y, picture.data() + size_t(y) * width * 4);
+    }
+    void row(const float *field, float dr, float dc, int y, int count, uint16_t *out) const {
+        lfrig::sample_float_row(picture.data(), height, width, PAD, lfrig::keys_weights, field, dr, dc, y, count, 1.0f,
+                                out);
+    }
+};
+
+template <class T, class Source>
 void warp(ndarray<const T, nb::ndim<3>, nb::c_contig, nb::device::cpu> image,
           ndarray<const float, nb::ndim<3>, nb::c_contig, nb::device::cpu> fields,
           ndarray<const float, nb::ndim<2>, nb::c_contig, nb::device::cpu> offsets,
@@ -60,22 +71,26 @@ void warp(ndarray<const T, nb::ndim<3>, nb::c_contig, nb::device::cpu> image,
         int(offsets.shape(0)) != views || offsets.shape(1) != 2 || int(out.shape(0)) != views ||
         int(out.shape(1)) != height || int(out.shape(2)) != width || out.shape(3) != 3)
         throw std::invalid_argument("warp_views: shapes do not match");
-    const T *src = image.data();
+    const T *from = image.data();
     const float *field = fields.data(), *offset = offsets.data();
-    T *dst = out.data();
+    T *to = out.data();
     nb::gil_scoped_release release;
+    if (height == 0 || width == 0) return;
+    const Source source(from, height, width);
     lfrig::parallel_for(views * height, threads, [&](int i) {
         const int v = i / height, y = i % height;
-        warp_row(src, height, width, field + size_t(i) * width, offset[2 * v], offset[2 * v + 1], y,
-                 dst + size_t(i) * width * 3);
+        source.row(field + size_t(i) * width, offset[2 * v], offset[2 * v + 1], y, width, to + size_t(i) * width * 3);
     });
 }
 
 }  // namespace
 
 void register_warp(nb::module_ &m) {
-    m.def("warp_views", &warp<uint8_t>, nb::arg("image").noconvert(), nb::arg("fields").noconvert(),
+    m.def(
+        "use_plain_loops", [](bool plain) { lfrig::plain_loops = plain; }, nb::arg("plain"),
+        "Leave hand-written vector code unused: for the tests that it gives the bits of the plain loops.");
+    m.def("warp_views", &warp<uint8_t, Source8>, nb::arg("image").noconvert(), nb::arg("fields").noconvert(),
           nb::arg("offsets").noconvert(), nb::arg("out").noconvert(), nb::arg("threads"));
-    m.def("warp_views", &warp<uint16_t>, nb::arg("image").noconvert(), nb::arg("fields").noconvert(),
+    m.def("warp_views", &warp<uint16_t, Source16>, nb::arg("image").noconvert(), nb::arg("fields").noconvert(),
           nb::arg("offsets").noconvert(), nb::arg("out").noconvert(), nb::arg("threads"));
 }

@@ -1,7 +1,8 @@
 """The 49-view warp: every output view gathers the photo along its own disparity field, bicubic.
 
 ``out[v, y, x] = image(y + dr_v · field[v, y, x], x + dc_v · field[v, y, x])`` with Catmull–Rom weights (Keys 1981,
-a = −1/2) and the border replicated. C++ form: ``warp.cpp``.
+a = −1/2) and the border replicated. C++ form: ``warp.cpp``; 8-bit pictures are sampled in fixed point there
+(``pair_sampling.cpp``), at positions rounded to 1/1024 px.
 """
 
 from __future__ import annotations

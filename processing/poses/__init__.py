@@ -2,5 +2,6 @@
 
 from lfrig.processing.poses.solution import PoseMethod, PoseSolution
 from lfrig.processing.poses.solve import solve_poses
+from lfrig.processing.poses.work import PoseWork
 
-__all__ = ["PoseMethod", "PoseSolution", "solve_poses"]
+__all__ = ["PoseMethod", "PoseSolution", "PoseWork", "solve_poses"]

@@ -38,7 +38,8 @@ def collect_anchors(structure: Structure, sources: int, evidence: Sequence[Evide
     good = _depth_sigma(structure) < MAX_DEPTH_SIGMA
     for v in range(sources):
         rows = np.flatnonzero((seen.view == v) & good[seen.point])
-        wrong = contradicted(seen.xy[rows], depth[rows], evidence[v])
+        # What light fields took part in has hardly a wrong point left.
+        wrong = contradicted(seen.xy[rows], depth[rows], evidence[v], quick=seen.disparity is not None)
         good[seen.point[rows[wrong]]] = False
     sightings = np.bincount(seen.point, minlength=seen.count)
     anchors = []
@@ -62,9 +63,9 @@ def _depth_sigma(structure: Structure) -> F64:
     return np.asarray(np.sqrt(2) * structure.noise_px * coarse / np.maximum(np.tan(angle), 1e-9), np.float64)
 
 
-def contradicted(xy: F64, depth: F64, evidence: Evidence) -> NDArray[np.bool_]:
+def contradicted(xy: F64, depth: F64, evidence: Evidence, *, quick: bool = False) -> NDArray[np.bool_]:
     """Which points [N] lie where a confident disparity says otherwise, by a robust line through all of them."""
-    line = scale_line(xy, depth, evidence)
+    line = scale_line(xy, depth, evidence, quick=quick)
     if line is None:
         return np.zeros(len(xy), bool)
     low, high = inverse_depth_interval(xy, evidence, line)

@@ -8,15 +8,13 @@ around zero, whose sigma the calibration knows; a sigma of zero holds it.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
-from lfrig.processing.geometry import rotation_z
+from lfrig.processing.kernels.rig_chain import Rig, after, before_wobble, rig_chain
 from lfrig.processing.model import F64, Camera, Pose, ScaleFit
-
-LOCAL = 9
-"""Parameters that a residual of one view sees: rotation (3) and translation (3) applied on the left, and the logarithms
-of focal length, baseline and inverse focus distance."""
 
 BLUNDER = 4.0
 """Beyond this many sigmas a turntable angle, a focal length or recorded optics count as a blunder and lose their pull
@@ -99,6 +97,14 @@ class Arrangement:
         start = self.turns.stop + 6 * view
         return slice(start, start + 6)
 
+    def of_view(self, view: int) -> NDArray[np.intp]:
+        """Indices of a view's own parameters [10]: turn, wobble, log focal, line."""
+        wobble, line = self.wobble(view), self.log_lines.start + 2 * view
+        return np.array(
+            [self.turns.start + view, *range(wobble.start, wobble.stop), self.log_focals.start + view, line, line + 1],
+            np.intp,
+        )
+
     def sigmas(self) -> F64:
         """Standard deviation of every parameter, float64 [size]; 0 = held."""
         sigma = np.zeros(self.size)
@@ -135,7 +141,7 @@ class Arrangement:
 
     def poses(self, x: F64) -> tuple[Pose, ...]:
         """Camera poses at parameters x."""
-        return tuple(self._chain(x, v)[-1] for v in range(len(self.views)))
+        return tuple(Pose(v[:9].reshape(3, 3), v[9:12]) for v in self.linearise(x)[0])
 
     def cameras(self, x: F64) -> tuple[Camera, ...]:
         """Cameras at parameters x."""
@@ -158,30 +164,26 @@ class Arrangement:
             for v, view in enumerate(self.views)
         )
 
-    def _chain(self, x: F64, v: int) -> tuple[Pose, Pose]:
-        """Pose of view v before its wobble, and with it."""
-        view = self.views[v]
-        mount, g = self.mounts[view.mount], view.mount
-        corrected = moved(x[6 * g : 6 * g + 6], mount)
-        turn = rotation_z(np.deg2rad(view.angle_deg) + x[self.turns.start + v])
-        before = Pose(corrected.rotation @ turn, corrected.translation)
-        return before, moved(x[self.wobble(v)], before)
+    @cached_property
+    def _rig(self) -> Rig:
+        mounts = [np.r_[m.rotation.ravel(), m.translation] for m in self.mounts]
+        fixed = [
+            (np.deg2rad(v.angle_deg), v.camera.focal_px, v.camera.cx, v.camera.cy)
+            + ((0.0, 0.0) if v.line is None else (v.line.baseline_m, v.line.inverse_focus))
+            for v in self.views
+        ]
+        mount = np.array([v.mount for v in self.views], np.int32)
+        return Rig(np.array(mounts, np.float64), mount, np.array(fixed, np.float64))
+
+    def linearise(self, x: F64) -> tuple[F64, F64]:
+        """Poses, cameras and lines at parameters x as the kernels of the adjustment take them, float64 [V, 17]; and the
+        motion of each view's local parameters with x, float64 [V, LOCAL, size].
+        """
+        return rig_chain(self._rig, x)
 
     def local_derivative(self, x: F64) -> F64:
         """Motion of each view's local parameters with x, float64 [V, LOCAL, size]."""
-        table = np.zeros((len(self.views), LOCAL, self.size))
-        for v, view in enumerate(self.views):
-            wobble = x[self.wobble(v)]
-            before = self._chain(x, v)[0]
-            lift = adjoint(wobble)
-            correction = slice(6 * view.mount, 6 * view.mount + 6)
-            table[v, :6, correction] = lift @ motion_derivative(x[correction])
-            axis = before.rotation[:, 2]
-            table[v, :6, self.turns.start + v] = lift @ np.r_[axis, -np.cross(axis, before.translation)]
-            table[v, :6, self.wobble(v)] = motion_derivative(wobble)
-            table[v, 6, self.log_focals.start + v] = 1.0
-            table[v, [7, 8], [self.log_lines.start + 2 * v, self.log_lines.start + 2 * v + 1]] = 1.0
-        return table
+        return self.linearise(x)[1]
 
     def start_at(self, x: F64, view: int, pose: Pose) -> F64:
         """X with the mount correction that puts ``view``, alone on its mount, at ``pose``."""
@@ -191,29 +193,14 @@ class Arrangement:
         g = self.views[view].mount
         x[6 * g : 6 * g + 6] = 0
         x[self.wobble(view)] = 0
-        before = self._chain(x, view)[0]
-        turn = pose.rotation @ before.rotation.T
-        x[6 * g : 6 * g + 6] = np.r_[rotation_vector(turn), pose.translation - turn @ before.translation]
+        rotation, translation = (part[view] for part in before_wobble(self._rig, x))
+        turn = pose.rotation @ rotation.T
+        x[6 * g : 6 * g + 6] = np.r_[rotation_vector(turn), pose.translation - turn @ translation]
         return x
 
 
-def skew(v: F64) -> F64:
-    """[v]× with ``skew(v) @ p = v × p``."""
-    return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
-
-
-def rotation_matrix(vector: F64) -> F64:
-    """Rodrigues' formula: rotation by |vector| rad about it."""
-    angle = float(np.linalg.norm(vector))
-    s = skew(vector)
-    if angle < 1e-4:
-        # Series of sin(a)/a and (1 − cos a)/a²: the quotients lose their digits here.
-        return np.eye(3) + (1 - angle**2 / 6) * s + (0.5 - angle**2 / 24) * s @ s
-    return np.asarray(np.eye(3) + np.sin(angle) / angle * s + (1 - np.cos(angle)) / angle**2 * s @ s, np.float64)
-
-
 def rotation_vector(rotation: F64) -> F64:
-    """Inverse of `rotation_matrix` for angles below 180°."""
+    """Inverse of `rotation_matrix` [3] for angles below 180°."""
     import cv2
 
     return np.asarray(cv2.Rodrigues(rotation)[0], np.float64).reshape(3)
@@ -221,29 +208,4 @@ def rotation_vector(rotation: F64) -> F64:
 
 def moved(motion: F64, pose: Pose) -> Pose:
     """The pose after ``X → rotation_matrix(motion[:3]) X + motion[3:]`` in the camera's frame."""
-    turn = rotation_matrix(motion[:3])
-    return Pose(turn @ pose.rotation, turn @ pose.translation + motion[3:])
-
-
-def adjoint(motion: F64) -> F64:
-    """[6, 6]: a small left motion before ``motion`` as a small left motion after it."""
-    turn = rotation_matrix(motion[:3])
-    table = np.zeros((6, 6))
-    table[:3, :3] = table[3:, 3:] = turn
-    table[3:, :3] = skew(motion[3:]) @ turn
-    return table
-
-
-def motion_derivative(motion: F64) -> F64:
-    """[6, 6]: change of ``motion``'s six numbers as a small left motion after it (left Jacobian of SO(3))."""
-    w = motion[:3]
-    angle = float(np.linalg.norm(w))
-    s = skew(w)
-    if angle < 1e-4:
-        left = np.eye(3) + 0.5 * s + s @ s / 6
-    else:
-        left = np.eye(3) + (1 - np.cos(angle)) / angle**2 * s + (angle - np.sin(angle)) / angle**3 * s @ s
-    table = np.eye(6)
-    table[:3, :3] = left
-    table[3:, :3] = skew(motion[3:]) @ left
-    return table
+    return Pose(*after(motion, (pose.rotation, pose.translation)))

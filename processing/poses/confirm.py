@@ -7,10 +7,12 @@ carried by the light fields' own depth and counted for near and far separately, 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NoReturn
 
 from lfrig.contracts.errors import GeometryRefused
 from lfrig.processing.agreement import Agreement, measure_agreement
-from lfrig.processing.model import Evidence, LightField, Photo, ScaleFit, Source
+from lfrig.processing.geometry import rotation_angle_deg
+from lfrig.processing.model import Evidence, LightField, Photo, Source
 from lfrig.processing.poses.guide import Guide
 from lfrig.processing.poses.structure import Structure
 
@@ -21,16 +23,32 @@ def confirmation(
     """Agreement of all pictures by a structure's poses (the photo's last); None when some source's solved points do
     not give its light field a scale.
     """
-    solved = structure.arrangement.lines(structure.parameters)
-    ready = []
-    for v, (source, seen) in enumerate(zip(sources, evidence, strict=True)):
-        line = solved[v]
-        camera, pose = structure.cameras[v], structure.poses[v]
-        scale: ScaleFit | None = guide.fitted_line(structure, v) if line is None else line.scale(camera)
-        if scale is None:
-            return None
-        ready.append(Source(source, camera, pose, seen, scale))
-    return measure_agreement(ready, target, structure.cameras[-1], structure.poses[-1])
+    ready = [_source(structure, v, sources[v], evidence[v], guide) for v in range(len(sources))]
+    known = [source for source in ready if source is not None]
+    if len(known) < len(ready):
+        return None
+    return measure_agreement(known, target, structure.cameras[-1], structure.poses[-1])
+
+
+def _source(structure: Structure, v: int, source: LightField, evidence: Evidence, guide: Guide) -> Source | None:
+    """A source with the scale that its solved line or its solved points give it; None when they do not carry one."""
+    line = structure.arrangement.lines(structure.parameters)[v]
+    camera, pose = structure.cameras[v], structure.poses[v]
+    scale = guide.fitted_line(structure, v) if line is None else line.scale(camera)
+    return None if scale is None else Source(source, camera, pose, evidence, scale)
+
+
+def is_photo_tied(
+    structure: Structure, sources: Sequence[LightField], evidence: Sequence[Evidence], target: Photo, guide: Guide
+) -> bool:
+    """Whether some source ties the photo, near and far alike; the nearest ones are asked first, and one is enough."""
+    poses, photo = structure.poses, structure.poses[-1]
+    order = sorted(range(len(sources)), key=lambda v: rotation_angle_deg(poses[v].rotation, photo.rotation))
+    for v in order:
+        source = _source(structure, v, sources[v], evidence[v], guide)
+        if source is not None and measure_agreement([source], target, structure.cameras[-1], photo).ties_photo():
+            return True
+    return False
 
 
 def refuse_untied(confirmed: Agreement | None, names: Sequence[str], photo: str) -> None:
@@ -48,8 +66,22 @@ def refuse_untied(confirmed: Agreement | None, names: Sequence[str], photo: str)
         refuse_untied_photo(confirmed, photo)
     most = max(groups, key=len)
     alone = ", ".join(names[v] for group in groups if group is not most for v in group if v < len(names))
+    _refuse_captures(alone or ", ".join(names))
+
+
+def refuse_untied_corrections(confirmed: Agreement | None, corrected: Sequence[int], names: Sequence[str]) -> None:
+    """Refuse poses by which a capture whose angle was corrected is tied to no other picture, near and far alike
+    (``capture-disagrees``).
+    """
+    groups = confirmed.tied_groups() if confirmed else []
+    alone = [names[v] for v in corrected if [v] in groups]
+    if alone:
+        _refuse_captures(", ".join(alone))
+
+
+def _refuse_captures(named: str) -> NoReturn:
     raise GeometryRefused(
-        f"captures {alone or ', '.join(names)}: nothing near is where the poses put it in the other captures",
+        f"captures {named}: nothing near is where the poses put it in the other captures",
         code="capture-disagrees",
         remedy="check turntable_deg of all captures (a backdrop that repeats fits at wrong angles too) and that "
         "nothing on the plate moved, or leave the named ones out with --sources",

@@ -11,8 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from lfrig.processing.kernels.patches import follow_disparities
 from lfrig.processing.model import F32, F64, U8, Evidence, LightField
-from lfrig.processing.poses.patches import Patches, cut, normalised
+from lfrig.processing.poses.patches import cut, normalised, square
 
 MAX_CORNERS = 800
 QUALITY = 0.002
@@ -66,9 +67,13 @@ def light_field_corners(light_field: LightField, evidence: Evidence, limit: int 
 
 def grey_of(image: U8) -> F32:
     """Grey image float32 [H, W] of RGB uint8 [H, W, 3]."""
+    return _grey8(image).astype(np.float32)
+
+
+def _grey8(image: U8) -> U8:
     import cv2
 
-    return np.asarray(cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2GRAY), np.float32)
+    return np.asarray(cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2GRAY), np.uint8)
 
 
 def rim_views(rows: int, cols: int, centre: tuple[int, int]) -> list[tuple[int, int]]:
@@ -89,31 +94,17 @@ def corner_disparities(light_field: LightField, evidence: Evidence, xy: F64) -> 
     at = np.rint(xy).astype(np.int64)
     start = cv2.medianBlur(evidence.disparity, 5)[at[:, 1], at[:, 0]].astype(np.float64)
     known = np.isfinite(start)
-    disparity = np.where(known, start, 0.0)
     rows, cols = light_field.angular
     centre = light_field.centre_index
-    views = rim_views(rows, cols, centre)
-    pictures = [grey_of(light_field.views[v]) for v in views]
-    reference = cut(grey_of(light_field.centre_view), xy, DISPARITY_HALF_PX)
-    step = np.zeros(len(xy))
-    for _ in range(DISPARITY_PASSES):
-        slope, right = np.full(len(xy), 1e-9), np.zeros(len(xy))
-        for (r, c), picture in zip(views, pictures, strict=True):
-            offset = np.array([c - centre[1], r - centre[0]], np.float64)
-            error, derivative = _compared(reference, picture, xy - offset * disparity[:, None], offset)
-            weight = reference.weight / (1 + (error / ROBUST_GREY) ** 2)
-            slope += np.einsum("nk,nk->n", weight * derivative, derivative)
-            right += np.einsum("nk,nk->n", weight * derivative, error)
-        step = -right / slope
-        disparity += np.clip(step, -MAX_STEP_PX, MAX_STEP_PX)
+    rim = rim_views(rows, cols, centre)
+    pictures = np.stack([_grey8(light_field.views[v]) for v in rim])
+    offsets = np.array([(c - centre[1], r - centre[0]) for r, c in rim], np.float64)
+    window = square(DISPARITY_HALF_PX)
+    reference = cut(grey_of(light_field.centre_view), xy, window)
+    disparity, step = follow_disparities(
+        pictures, offsets, (reference.grey, reference.slope_x, reference.slope_y), window, xy,
+        np.where(known, start, 0.0), passes=DISPARITY_PASSES, max_step_px=MAX_STEP_PX, robust_grey=ROBUST_GREY,
+        threads=1,
+    )  # fmt: skip
     good = known & (np.abs(step) < SETTLED_PX) & (np.abs(disparity - start) < MAX_CHANGE_PX)
     return np.where(good, disparity, np.nan)
-
-
-def _compared(reference: Patches, picture: F32, xy: F64, offset: F64) -> tuple[F32, F32]:
-    """Difference of patches around xy in a view from the reference's, and its derivative by disparity; [N, K] each."""
-    there = reference.sample(picture, xy)
-    error = there - reference.grey
-    error -= (error * reference.weight).sum(1, keepdims=True)
-    derivative = -(np.float32(offset[0]) * reference.slope_x + np.float32(offset[1]) * reference.slope_y)
-    return error, np.asarray(derivative, np.float32)

@@ -36,19 +36,31 @@ class Features:
         return len(self.xy)
 
 
-def extract_features(image: U8, limit: int = MAX_FEATURES) -> Features:
-    """SIFT features of an RGB image uint8 [H, W, 3], the ``limit`` strongest."""
+def extract_features(image: U8, limit: int = MAX_FEATURES, *, size: float = 1.0) -> Features:
+    """SIFT features of an RGB image uint8 [H, W, 3], the ``limit`` strongest; ``size`` below 1 looks at the picture
+    shrunk to that fraction. Positions and scales are in pixels of the image itself.
+    """
     import cv2
 
-    grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+    grey = cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2GRAY)
+    full = grey.shape
+    if size < 1:
+        shape = max(1, round(size * full[1])), max(1, round(size * full[0]))
+        grey, limit = cv2.resize(grey, shape, interpolation=cv2.INTER_AREA), max(1, round(size * size * limit))
+    zoom = np.array([full[1] / grey.shape[1], full[0] / grey.shape[0]])
     # The precise upscale maps pixel x to 2x; without it OpenCV's positions are biased.
     sift = cv2.SIFT.create(limit, 3, CONTRAST_THRESHOLD, 10, 1.6, enable_precise_upscale=True)
     keypoints, descriptor = sift.detectAndCompute(grey, None)
     if not keypoints:
-        return Features(np.zeros((0, 2)), np.zeros(0), np.zeros((0, 128), np.float32), np.zeros(0, np.int64))
-    xy = np.array([k.pt for k in keypoints], np.float64)
-    scale = np.array([k.size for k in keypoints], np.float64) / 2
+        return no_features()
+    xy = (np.array([k.pt for k in keypoints], np.float64) + 0.5) * zoom - 0.5
+    scale = np.array([k.size for k in keypoints], np.float64) / 2 * zoom.mean()
     root = np.sqrt(descriptor / np.maximum(descriptor.sum(1, keepdims=True), 1e-9))
     _, first, inverse = np.unique(xy, axis=0, return_index=True, return_inverse=True)
     place = first[inverse.reshape(-1)].astype(np.int64)
     return Features(xy, scale, np.rint(root * DESCRIPTOR_LENGTH).astype(np.float32), place)
+
+
+def no_features() -> Features:
+    """None at all."""
+    return Features(np.zeros((0, 2)), np.zeros(0), np.zeros((0, 128), np.float32), np.zeros(0, np.int64))

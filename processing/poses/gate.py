@@ -193,12 +193,14 @@ def warn_of_doubtful_poses(
             )
 
 
-def doubts(structure: Structure, fractions: Mapping[Pair, float], sigma_deg: float | None) -> list[int]:
+def doubts(
+    structure: Structure, fractions: Mapping[Pair, float], sigma_deg: float | None, part: float = 1.0
+) -> list[int]:
     """Views of a light-field-aware solution that are not to be trusted: few points, angles or focal lengths far from
     what was recorded, or corners that are not found where they should be.
 
     Wrong geometry finds 6 % of the corners where neighbours find 40 %; residuals do not tell the two apart. With
-    ``sigma_deg`` None, angles and focal lengths are not judged.
+    ``sigma_deg`` None, angles and focal lengths are not judged. ``part`` is that of the corners that was followed.
     """
     arrangement, x = structure.arrangement, structure.parameters
     count = np.bincount(structure.seen.view, minlength=len(arrangement.views))
@@ -208,14 +210,22 @@ def doubts(structure: Structure, fractions: Mapping[Pair, float], sigma_deg: flo
             best[v] = max(best[v], fraction)
     found = []
     for v, view in enumerate(arrangement.views):
-        wrong = bool(count[v] < GOOD_ANCHORS or best[v] < FOUND_SHARE * np.median(best) or best[v] < MIN_FOUND)
+        wrong = bool(count[v] < part * GOOD_ANCHORS or best[v] < FOUND_SHARE * np.median(best) or best[v] < MIN_FOUND)
         if sigma_deg is not None:
             turn, focal = x[arrangement.turns][v], x[arrangement.log_focals][v]
             wrong |= bool(abs(turn) > ANGLE_SIGMAS * np.deg2rad(view.sigma_angle_deg) and view.sigma_angle_deg > 0)
             wrong |= bool(abs(focal) > FOCAL_SIGMAS * view.camera.sigma_focal and view.camera.sigma_focal > 0)
         if wrong:
             found.append(v)
-    return found or unlinked(structure)
+    return found or unlinked(structure, part)
+
+
+def corrected(structure: Structure) -> list[int]:
+    """Views whose solved turntable angle contradicts the recorded one."""
+    arrangement = structure.arrangement
+    turns = np.abs(np.rad2deg(structure.parameters[arrangement.turns]))
+    sigmas = [view.sigma_angle_deg for view in arrangement.views]
+    return [v for v, sigma in enumerate(sigmas) if sigma > 0 and turns[v] > ANGLE_SIGMAS * sigma]
 
 
 def refuse_direction() -> None:
@@ -241,10 +251,12 @@ def warn_of_unconfirmed(
         )
 
 
-def unlinked(structure: Structure) -> list[int]:
-    """Views that `MIN_LINK` common points do not tie to the first one, through whatever chain."""
+def unlinked(structure: Structure, part: float = 1.0) -> list[int]:
+    """Views that `MIN_LINK` common points, or that ``part`` of them, do not tie to the first one, through whatever
+    chain.
+    """
     views = len(structure.arrangement.views)
-    linked = common_points(structure) >= MIN_LINK
+    linked = common_points(structure) >= part * MIN_LINK
     reached = np.eye(1, views, dtype=bool)[0]
     for _ in range(views):
         reached = reached | linked[reached].any(0)

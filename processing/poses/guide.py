@@ -34,7 +34,11 @@ if TYPE_CHECKING:
     from lfrig.processing.poses.structure import Structure
 
 MIN_CONFIDENCE = 0.5
-MIN_JUDGES = 30
+MIN_JUDGES, ENOUGH_JUDGES = 30, 200
+"""Points that a line through disparities and depths needs; what a quick one takes at least."""
+
+QUICK_ITERATIONS = 8
+
 MIN_INLIERS = 0.5
 TOLERANCE_SIGMAS = 3.0
 TOLERANCE_PX = 0.04
@@ -81,13 +85,19 @@ def disparity_around(xy: F64, evidence: Evidence) -> Judged:
     return Judged(around.min(0), around.max(0), around[4], np.asarray(sure, np.bool_))
 
 
-def scale_line(xy: F64, depth: F64, evidence: Evidence) -> ScaleFit | None:
-    """Robust line ``1/z = a δ + c`` through solved points seen at ``xy``; None when they do not carry one."""
+def scale_line(xy: F64, depth: F64, evidence: Evidence, *, quick: bool = False) -> ScaleFit | None:
+    """Robust line ``1/z = a δ + c`` through solved points seen at ``xy``; None when they do not carry one.
+
+    ``quick`` fits it to some of the points in few iterations: good enough where hardly a point is wrong.
+    """
     judged = disparity_around(xy, evidence)
     if judged.sure.sum() < MIN_JUDGES:
         return None
+    rows, iterations = np.flatnonzero(judged.sure), 50
+    if quick:
+        rows, iterations = rows[:: max(1, len(rows) // ENOUGH_JUDGES)], QUICK_ITERATIONS
     try:
-        line = fit_affine(judged.own[judged.sure], 1 / depth[judged.sure])
+        line = fit_affine(judged.own[rows], 1 / depth[rows], iterations=iterations)
     except GeometryRefused:
         return None
     return line if line.a > 0 and line.inliers >= MIN_INLIERS else None

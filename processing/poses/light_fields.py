@@ -7,8 +7,9 @@ land within a pixel of where they are predicted. Each capture's scale (1/z = a Î
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from lfrig.processing.poses.priors import PAIR_LIMIT_DEG
 from lfrig.processing.poses.sightings import Followed, Looks, directed_pairs, follow_all
 from lfrig.processing.poses.structure import (
     FINE_TOLERANCE,
+    NOISE_BOUNDS_PX,
     ROUGH_TOLERANCE,
     Structure,
     coarseness,
@@ -30,6 +32,8 @@ from lfrig.processing.poses.structure import (
 )
 from lfrig.processing.poses.tracks import Observations, Pair
 from lfrig.processing.poses.triangulate import reproject, triangulate
+from lfrig.processing.poses.warp_lk import Sighted
+from lfrig.processing.skipping import SKIP_ALL, Skips, Tally
 
 FLOW_CORNERS = 250
 MAX_FLOW_STEP_DEG = 36.0
@@ -42,12 +46,28 @@ MAX_ROUNDS = 4
 SETTLED_DEG = 0.03
 """Rotations that change by less move no prediction by a pixel."""
 
+ROUND_CORNERS = 300
+"""So many of each light field place the views to a tenth of what `SETTLED_DEG` asks for."""
+
 LOST_FRACTION = 0.15
 ENOUGH_SHARED = 100
 
 FLOW_SCHEDULE = ((16.0, 0.06), (4.0, 0.06), (1.2, 0.02), (0.4, 0.012))
 ALIGN_SCHEDULE = ((0.5, 0.012),)
 """Noise levels [px] and [px of disparity], falling, before the residuals say what the noise is."""
+
+
+Known = Mapping[Pair, Sighted]
+NOTHING_KNOWN: Known = MappingProxyType({})
+
+
+@dataclass(frozen=True)
+class Effort:
+    """What goes with every solve: progress, what may be left out, and where that is counted."""
+
+    monitor: Monitor
+    skips: Skips = SKIP_ALL
+    tally: Tally | None = None
 
 
 def recorded_line(source: LightField, captures: int) -> Line | None:
@@ -78,10 +98,10 @@ def adjust_light_fields(
     seen: Observations,
     depth_range_m: tuple[float, float],
     schedule: Sequence[tuple[float, float]],
-    monitor: Monitor,
+    effort: Effort,
 ) -> Structure:
     """Triangulate, and adjust by reprojection and disparity with falling noise levels; at last by the noise found."""
-    x, covariance, noise = start, np.zeros((arrangement.size, arrangement.size)), schedule[0][0]
+    x, result, noise = start, None, NOISE_BOUNDS_PX[1]
     points = triangulate(arrangement.cameras(x), arrangement.poses(x), seen)
     for level in (*schedule, None):
         cameras, poses = arrangement.cameras(x), arrangement.poses(x)
@@ -98,10 +118,14 @@ def adjust_light_fields(
         blocks: list[ResidualBlock] = [Reprojection(seen, noise * coarseness(seen))]
         told = _told(seen)
         blocks.append(Disparity(seen.point[told], seen.view[told], _disparity(seen)[told], np.full(len(told), sigma)))
-        tolerance = FINE_TOLERANCE if level is None else ROUGH_TOLERANCE
-        result = adjust(arrangement, x, points, blocks, max_iterations=MAX_ITERATIONS, tolerance=tolerance)
-        x, points, covariance = result.parameters, result.points, result.covariance
-        monitor.advance(0)
+        result = adjust(
+            arrangement, x, points, blocks, max_iterations=MAX_ITERATIONS,
+            tolerance=FINE_TOLERANCE if level is None else ROUGH_TOLERANCE, until_settled=effort.skips.adjustment,
+            tally=effort.tally,
+        )  # fmt: skip
+        x, points = result.parameters, result.points
+        effort.monitor.advance(0)
+    covariance = np.zeros((arrangement.size, arrangement.size)) if result is None else result.covariance
     return Structure(arrangement, x, seen, points, noise, covariance)
 
 
@@ -145,46 +169,83 @@ def widest_link_deg(poses: Sequence[Pose]) -> float:
 
 
 def first_pass(
-    looks: Looks, arrangement: Arrangement, x: F64, depth_range_m: tuple[float, float], monitor: Monitor
+    looks: Looks,
+    arrangement: Arrangement,
+    x: F64,
+    depth_range_m: tuple[float, float],
+    effort: Effort,
+    placed: Collection[int] = (),
+    known: Known = NOTHING_KNOWN,
 ) -> Structure | None:
     """Follow by flow into the neighbours and solve; None where steps are too wide for it, optics unknown, or
-    hardly a corner of some view is found.
+    hardly a corner of some view is found. Views that are ``placed`` need no flow among each other, and ``known`` are
+    pairs that were followed already.
     """
     poses = arrangement.poses(x)
     widest = widest_link_deg(poses)
     if widest > MAX_FLOW_STEP_DEG or any(arrangement.views[v].line is None for v in range(len(looks.reliefs))):
         return None
     pairs = directed_pairs(poses, len(looks.reliefs), 1.05 * widest)
-    followed = follow_all(looks, arrangement, x, pairs, depth_range_m, flow=pairs, limit=FLOW_CORNERS)
+    flow = [(j, i) for j, i in pairs if not (i in placed and j in placed)]
+    followed = follow_all(looks, arrangement, x, pairs, depth_range_m, flow=flow, limit=FLOW_CORNERS, known=known)
     if followed.seen.count < ENOUGH_POINTS:
         return None
-    solved = adjust_light_fields(arrangement, x, followed.seen, depth_range_m, FLOW_SCHEDULE, monitor)
+    solved = adjust_light_fields(arrangement, x, followed.seen, depth_range_m, FLOW_SCHEDULE, effort)
     counts = np.bincount(solved.seen.view, minlength=len(poses))
     return solved if counts.min() >= ENOUGH_POINTS else None
 
 
-def second_pass(
-    looks: Looks, rough: Structure, depth_range_m: tuple[float, float], monitor: Monitor
-) -> tuple[Structure, Followed]:
-    """Align all corners in every view within reach of a rough solution, and solve again; until that moves little.
+@dataclass(frozen=True)
+class Aligned:
+    """What the second pass made: the solution, the sightings it rests on, and what ``part`` of all corners it took."""
 
-    Pairs that hardly share a point are followed by flow once more: the first pass need not have seen them.
+    structure: Structure
+    followed: Followed
+    part: float = 1.0
+
+
+def second_pass(
+    looks: Looks, rough: Structure, depth_range_m: tuple[float, float], effort: Effort, known: Known = NOTHING_KNOWN
+) -> Aligned:
+    """Align all corners in every view within reach of a solution that a fraction of them has settled (`settle`)."""
+    settled = settle(looks, rough, depth_range_m, effort, known).structure
+    arrangement, x = settled.arrangement, settled.parameters
+    pairs = directed_pairs(settled.poses, len(looks.reliefs), PAIR_LIMIT_DEG)
+    followed = follow_all(looks, arrangement, x, pairs, depth_range_m, known=known)
+    solved = adjust_light_fields(arrangement, x, followed.seen, depth_range_m, ALIGN_SCHEDULE, effort)
+    return Aligned(solved, followed)
+
+
+def settle(
+    looks: Looks, rough: Structure, depth_range_m: tuple[float, float], effort: Effort, known: Known = NOTHING_KNOWN
+) -> Aligned:
+    """Align the strongest corners in every view within reach of a rough solution, and solve again; until that moves
+    little.
+
+    Pairs that hardly share a point are followed by flow once more: the first pass need not have seen them. ``known``
+    are pairs that were followed already.
     """
-    pairs = directed_pairs(rough.poses, len(looks.reliefs), PAIR_LIMIT_DEG)
     solved, lost = rough, set[Pair]()
+    pairs = directed_pairs(rough.poses, len(looks.reliefs), PAIR_LIMIT_DEG)
+    corners = sum(len(relief.corners) for relief in looks.reliefs)
+    part = sum(min(len(relief.corners), ROUND_CORNERS) for relief in looks.reliefs) / max(corners, 1)
     for _ in range(MAX_ROUNDS):
         before = solved.poses
-        followed = follow_all(looks, solved.arrangement, solved.parameters, pairs, depth_range_m, flow=lost)
+        followed = follow_all(
+            looks, solved.arrangement, solved.parameters, pairs, depth_range_m, flow=lost, limit=ROUND_CORNERS,
+            known=known,
+        )  # fmt: skip
+        known = {**known, **followed.by_pair}
         solved = adjust_light_fields(
-            solved.arrangement, solved.parameters, followed.seen, depth_range_m, ALIGN_SCHEDULE, monitor
+            solved.arrangement, solved.parameters, followed.seen, depth_range_m, ALIGN_SCHEDULE, effort
         )
         again = bool(lost) or _moved_deg(before, solved.poses) > SETTLED_DEG
         shared = common_points(solved)
         # A pair that flow has just failed for is let go.
-        lost = {p for p in pairs if shared[p] < ENOUGH_SHARED and followed.fraction(p) < LOST_FRACTION} - lost
+        lost = {p for p in pairs if shared[p] < part * ENOUGH_SHARED and followed.fraction(p) < LOST_FRACTION} - lost
         if not (again or lost):
             break
-    return solved, followed
+    return Aligned(solved, followed, part)
 
 
 def _moved_deg(before: Sequence[Pose], after: Sequence[Pose]) -> float:

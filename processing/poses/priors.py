@@ -51,6 +51,20 @@ def given_arrangement(sources: Sequence[LightField]) -> Arrangement:
     )
 
 
+def centred_arrangement(sources: Sequence[LightField]) -> tuple[Arrangement, F64]:
+    """Given poses moved around the cameras, so that a world whose origin is far away costs no digits; and where that
+    middle is [3].
+    """
+    given = given_arrangement(sources)
+    origin = np.mean([p.centre for p in given.mounts], axis=0)
+    return recentred_arrangement(given, origin), origin
+
+
+def recentred_arrangement(arrangement: Arrangement, origin: F64) -> Arrangement:
+    """The arrangement in a world whose origin is moved to ``origin`` [3]."""
+    return replace(arrangement, mounts=tuple(recentred(m, origin) for m in arrangement.mounts))
+
+
 def turntable_arrangement(
     sources: Sequence[LightField], prior: RigPrior, pupil_shift_m: float = WOBBLE_M
 ) -> Arrangement:

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
+from types import MappingProxyType
 
 import numpy as np
 
 from lfrig.contracts.progress import Monitor
 from lfrig.processing.geometry import rotation_angle_deg
-from lfrig.processing.model import F32, F64, U8, Evidence, LightField, Photo, Pose
+from lfrig.processing.model import F32, F64, Evidence, LightField, Photo, Pose
 from lfrig.processing.poses.arrangement import Arrangement
-from lfrig.processing.poses.corners import grey_of, light_field_corners
-from lfrig.processing.poses.patches import normalised
+from lfrig.processing.poses.corners import light_field_corners
+from lfrig.processing.poses.picture import Picture, picture_of
 from lfrig.processing.poses.structure import FINE_SCALE_PX
 from lfrig.processing.poses.tracks import Observations, Pair
-from lfrig.processing.poses.warp_lk import Picture, Relief, Station, Warp, follow
+from lfrig.processing.poses.warp_lk import Relief, Sighted, Station, Warp, follow
+from lfrig.processing.poses.work import PoseWork
 
 SMOOTH_SIGMA_PX = 1.5
 UNLIKENESS = 0.03
@@ -30,19 +33,22 @@ class Looks:
     reliefs: tuple[Relief, ...]
 
 
-def look_at(sources: Sequence[LightField], evidence: Sequence[Evidence], target: Photo, monitor: Monitor) -> Looks:
-    """Prepare all pictures, corners and disparities."""
+def look_at(
+    sources: Sequence[LightField], evidence: Sequence[Evidence], target: Photo, work: PoseWork, monitor: Monitor
+) -> Looks:
+    """Prepare all pictures, corners and disparities; what ``work`` knows of a capture is not made again."""
     pictures, reliefs = [], []
     for source, seen in zip(sources, evidence, strict=True):
-        pictures.append(_picture(source.centre_view))
-        reliefs.append(Relief(light_field_corners(source, seen), smoothed(seen.disparity)))
+        pictures.append(work.once("picture", (source.views,), partial(picture_of, source.centre_view)))
+        reliefs.append(work.once("relief", (source.views, seen), partial(relief_of, source, seen)))
         monitor.advance()
-    return Looks((*pictures, _picture(target.image8)), tuple(reliefs))
+    pictures.append(work.once("picture", (target.image,), partial(picture_of, target.image8)))
+    return Looks(tuple(pictures), tuple(reliefs))
 
 
-def _picture(image: U8) -> Picture:
-    grey = grey_of(image)
-    return Picture(grey, normalised(grey))
+def relief_of(source: LightField, evidence: Evidence) -> Relief:
+    """Corners and surface of one light field."""
+    return Relief(light_field_corners(source, evidence), smoothed(evidence.disparity))
 
 
 def smoothed(disparity: F32) -> F32:
@@ -65,24 +71,24 @@ def directed_pairs(poses: Sequence[Pose], sources: int, limit_deg: float) -> lis
 
 @dataclass(frozen=True)
 class Followed:
-    """Sightings, and for every (light field, other view) how many corners were found there, of how many expected."""
+    """Sightings, and what they were made from: where the corners of each (light field, other view) were found."""
 
     seen: Observations
-    found: dict[Pair, int]
-    tried: dict[Pair, int]
+    by_pair: dict[Pair, Sighted]
 
     def fraction(self, pair: Pair) -> float:
         """Share of the corners found."""
-        return self.found.get(pair, 0) / max(self.tried.get(pair, 0), 1)
+        sighted = self.by_pair.get(pair)
+        return 0.0 if sighted is None else sighted.fraction
 
     def fractions(self) -> dict[Pair, float]:
         """All of them."""
-        return {pair: self.fraction(pair) for pair in self.found}
+        return {pair: self.fraction(pair) for pair in self.by_pair}
 
     @property
     def total(self) -> int:
         """Corners found in all views together."""
-        return sum(self.found.values())
+        return sum(sighted.count for sighted in self.by_pair.values())
 
 
 def follow_all(
@@ -94,14 +100,15 @@ def follow_all(
     *,
     flow: Collection[Pair] = (),
     limit: int | None = None,
+    known: Mapping[Pair, Sighted] = MappingProxyType({}),
 ) -> Followed:
     """Follow the corners of the first view of each (directed) pair into the second; with ``flow`` where the prediction
-    may be poor. ``limit`` takes the strongest corners only.
+    may be poor. ``limit`` takes the strongest corners only; what is ``known`` of a pair is kept where it still holds.
     """
     cameras, poses, lines = arrangement.cameras(x), arrangement.poses(x), arrangement.lines(x)
     stations = [Station(c, p) for c, p in zip(cameras, poses, strict=True)]
     limits = 1 / depth_range_m[1], 1 / depth_range_m[0]
-    tables, found, tried = [], {}, {}
+    tables, by_pair = [], {}
     for j, relief in enumerate(looks.reliefs):
         line = lines[j]
         others = [i for k, i in pairs if k == j]
@@ -114,11 +121,12 @@ def follow_all(
         likeness = np.ones(places.shape[:2])
         for i in others:
             warp = Warp(relief, line.scale(cameras[j]), stations[j], stations[i], limits)
-            sighted = follow(warp, looks.pictures[j], looks.pictures[i], flow=(j, i) in flow)
+            before = known.get((j, i))
+            sighted = follow(warp, looks.pictures[j], looks.pictures[i], flow=(j, i) in flow, before=before)
             places[:, i], likeness[:, i] = sighted.xy, sighted.likeness
-            found[j, i], tried[j, i] = sighted.count, sighted.expected
+            by_pair[j, i] = sighted
         tables.append((j, places, coarseness_of(likeness), relief.corners.disparity))
-    return Followed(_observations(tables), found, tried)
+    return Followed(_observations(tables), by_pair)
 
 
 def coarseness_of(likeness: F64) -> F64:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import contextlib
-import functools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import cache, partial
 
 import numpy as np
 
@@ -14,17 +14,26 @@ from lfrig.contracts.progress import Monitor
 from lfrig.processing.model import F64, Anchors, Evidence, LightField, Photo, Pose, RigPrior
 from lfrig.processing.poses import gate
 from lfrig.processing.poses.anchors import collect_anchors, common_scale, scale_estimates
-from lfrig.processing.poses.confirm import confirmation, refuse_untied_photo
-from lfrig.processing.poses.features import extract_features
+from lfrig.processing.poses.confirm import confirmation, is_photo_tied, refuse_untied_photo
+from lfrig.processing.poses.features import extract_features, no_features
 from lfrig.processing.poses.guide import Guide
 from lfrig.processing.poses.join_photo import is_near
+from lfrig.processing.poses.light_fields import Effort
 from lfrig.processing.poses.matching import Gallery
 from lfrig.processing.poses.priors import depth_limits, has_turntable_prior, photo_prior
+from lfrig.processing.poses.sightings import look_at
 from lfrig.processing.poses.solution import PoseMethod, PoseSolution, ScaleSource
 from lfrig.processing.poses.structure import Structure
-from lfrig.processing.poses.with_light_fields import Task, solve_with_light_fields, solved_scales
+from lfrig.processing.poses.task import FindFeatures, Task
+from lfrig.processing.poses.with_given import solve_given
+from lfrig.processing.poses.with_light_fields import solve_with_light_fields, solved_scales
 from lfrig.processing.poses.with_prior import solve_with_prior
 from lfrig.processing.poses.without_prior import solve_without_prior
+from lfrig.processing.poses.work import PoseWork
+from lfrig.processing.skipping import SKIP_ALL, Skips, Tally
+
+QUICK_SIZE = 0.5
+"""Pictures of this size are enough to find out roughly where a photo was taken, at a quarter of the cost."""
 
 
 def solve_poses(
@@ -36,6 +45,9 @@ def solve_poses(
     *,
     threads: int,
     monitor: Monitor,
+    work: PoseWork | None = None,
+    skips: Skips = SKIP_ALL,
+    tally: Tally | None = None,
 ) -> PoseSolution:
     """Poses of sources and photo in one frame, refined focal lengths, and anchors.
 
@@ -49,6 +61,9 @@ def solve_poses(
         latter with the turntable's prior where there is one.
     threads : int
         0 = all cores. The result does not depend on it.
+    work : PoseWork, optional
+        What earlier solves found out about the same captures, and then this one; with it, a new target or source costs
+        little more than itself.
 
     Raises
     ------
@@ -58,35 +73,52 @@ def solve_poses(
         Identical poses, duplicate captures, too few matches, contradicted turntable angles, no overlap with the photo.
     """
     kind = choose_method(sources, target, prior, method)
+    memory = PoseWork() if work is None or not skips.unchanged else work
+    memory.begin()
     with _opencv_threads(threads), monitor.task("poses", len(sources) + 2):
-        features = _lazy_features(sources, target, monitor)
-        if kind == "lf":
-            task = Task(sources, evidence, target, prior, features)
-            kind, structure = solve_with_light_fields(task, monitor)
+        features = _lazy_features(sources, target, memory, monitor, 1.0)
+        if kind in ("lf", "given"):
+            looks = look_at(sources, evidence, target, memory, monitor)
+            quick = _lazy_features(sources, target, memory, monitor, QUICK_SIZE)
+            effort = Effort(monitor, skips, tally)
+            task = Task(sources, evidence, target, prior, looks, features, quick, effort, memory)
+            if kind == "lf":
+                kind, structure = solve_with_light_fields(task, monitor)
+            else:
+                structure = solve_given(task, monitor)
         elif kind == "colmap":
-            structure = solve_without_prior(sources, evidence, features(), target, monitor)
+            structure = solve_without_prior(sources, evidence, features(range(len(sources))), target, monitor)
         else:
-            structure = solve_with_prior(kind, sources, evidence, features(), target, prior, monitor)
+            structure = solve_with_prior(kind, sources, evidence, features(range(len(sources))), target, prior, monitor)
         known = photo_prior(target, prior)
         if kind != "colmap" and (known is None or not is_near(structure.poses[-1], known)):
             guide = Guide(sources, evidence, depth_limits(sources, prior), True)
-            refuse_untied_photo(confirmation(structure, sources, evidence, target, guide), target.id)
+            asked = partial(is_photo_tied, structure, sources, evidence, target, guide)
+            if not memory.once("tied", (structure,), asked):
+                refuse_untied_photo(confirmation(structure, sources, evidence, target, guide), target.id)
         monitor.advance()
         return _solution(kind, structure, sources, evidence, target, monitor)
 
 
-def _lazy_features(sources: Sequence[LightField], target: Photo, monitor: Monitor) -> Callable[[], Gallery]:
-    """SIFT features of all views, the photo's last, found when first asked for."""
+def _lazy_features(
+    sources: Sequence[LightField], target: Photo, work: PoseWork, monitor: Monitor, size: float
+) -> FindFeatures:
+    """SIFT features of views at a fraction of their size, the photo's last, found when first asked for."""
 
-    @functools.cache
-    def found() -> Gallery:
+    @cache
+    def found(wanted: tuple[int, ...]) -> Gallery:
         features = []
-        for picture in (*(s.centre_view for s in sources), target.image8):
-            features.append(extract_features(np.ascontiguousarray(picture)))
-            monitor.advance(0)
+        for v, picture in enumerate((*(s.centre_view for s in sources), target.image8)):
+            held = sources[v].views if v < len(sources) else target.image
+            if v in wanted or v == len(sources):
+                one = work.once(f"features at {size:g}", (held,), partial(extract_features, picture, size=size))
+                monitor.advance(0)
+            else:
+                one = no_features()
+            features.append(one)
         return Gallery(features)
 
-    return found
+    return lambda views: found(tuple(views))
 
 
 def choose_method(sources: Sequence[LightField], target: Photo, prior: RigPrior, method: PoseMethod) -> str:

@@ -107,7 +107,7 @@ def refine(
     After the schedule the level is what the residuals say.
     """
     x = start
-    covariance = np.zeros((arrangement.size, arrangement.size))
+    result = None
     noise = noise_schedule_px[0]
     points = triangulate(arrangement.cameras(x), arrangement.poses(x), seen)
     for level in (*noise_schedule_px, None):
@@ -124,8 +124,9 @@ def refine(
         blocks = [Reprojection(seen, noise * coarseness(seen))]
         rough = level is not None
         result = adjust(arrangement, x, points, blocks, tolerance=ROUGH_TOLERANCE if rough else FINE_TOLERANCE)
-        x, points, covariance = result.parameters, result.points, result.covariance
+        x, points = result.parameters, result.points
         monitor.advance(0)
+    covariance = np.zeros((arrangement.size, arrangement.size)) if result is None else result.covariance
     return Structure(arrangement, x, seen, points, noise, covariance)
 
 

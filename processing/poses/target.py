@@ -141,9 +141,9 @@ def _residual(known: Resection, camera: Camera, pose: Pose) -> F64:
 
 
 def _resect(known: Resection, camera: Camera) -> tuple[Pose, NDArray[np.bool_]] | None:
-    """Pose by SQPNP inside RANSAC and Levenberg–Marquardt on its inliers; and which points those are.
+    """Pose by three points inside RANSAC and Levenberg–Marquardt on its inliers; and which points those are.
 
-    SQPNP: Terzakis & Lourakis, ECCV 2020.
+    AP3P: Ke & Roumeliotis, CVPR 2017. Three points, as few as there can be: false matches cost it the fewest draws.
     """
     import cv2
 
@@ -155,7 +155,7 @@ def _resect(known: Resection, camera: Camera) -> tuple[Pose, NDArray[np.bool_]] 
     try:
         ok, turn, shift, inliers = cv2.solvePnPRansac(
             world, known.xy, camera.matrix, None, iterationsCount=1000, reprojectionError=gate, confidence=0.9999,
-            flags=cv2.SOLVEPNP_SQPNP,
+            flags=cv2.SOLVEPNP_AP3P,
         )  # fmt: skip
     except cv2.error:
         return None

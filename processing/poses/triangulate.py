@@ -6,35 +6,26 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from lfrig.processing.kernels import bundle
 from lfrig.processing.model import F64, Camera, Pose
 from lfrig.processing.poses.tracks import Observations
 
 
 def triangulate(cameras: Sequence[Camera], poses: Sequence[Pose], seen: Observations, passes: int = 3) -> F64:
-    """World points float64 [count, 3], linear in the points and reweighted by depth (Hartley & Zisserman, 12.2).
-
-    Points that no two rays determine come out far away or behind a camera; the gates drop them.
-    """
+    """World points float64 [count, 3] of sightings; see `lfrig.processing.kernels.bundle.triangulate`."""
     if not len(seen):
         return np.zeros((0, 3))
     focal, principal, rotation, translation = stack(cameras, poses)
-    view = seen.view
-    # Each sighting gives two equations  (R[:2] − n R[2]) X = n t[2] − t[:2]  with n the normalised pixel.
-    n = (seen.xy - principal[view]) / focal[view, None]
-    rows = rotation[view, :2] - n[:, :, None] * rotation[view, 2][:, None, :]
-    right = n * translation[view, 2][:, None] - translation[view, :2]
-    weight = focal[view].copy()
-    points = np.zeros((seen.count, 3))
-    for _ in range(passes):
-        weighted = rows * weight[:, None, None] ** 2
-        normal = np.add.reduceat(np.einsum("mra,mrb->mab", weighted, rows), seen.starts)
-        right_side = np.add.reduceat(np.einsum("mra,mr->ma", weighted, right), seen.starts)
-        # A trace-relative ridge keeps parallel rays solvable without moving the others.
-        ridge = 1e-12 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(3)
-        points = np.linalg.solve(normal + ridge, right_side[..., None])[..., 0]
-        depth = np.einsum("ma,ma->m", rotation[view, 2], points[seen.point]) + translation[view, 2]
-        weight = focal[view] / np.maximum(np.abs(depth), 1e-6)
-    return np.asarray(points, np.float64)
+    views = bundle.view_table(rotation, translation, focal, principal, np.zeros((len(focal), 2)))
+    return bundle.triangulate(views, pixels_of(seen, np.ones(len(seen))), seen.count, passes)
+
+
+def pixels_of(seen: Observations, sigma_px: F64) -> bundle.Sightings:
+    """The pixels of sightings, with their sigmas [M], as the kernels take them."""
+    none = np.zeros(len(seen))
+    return bundle.Sightings(
+        seen.point.astype(np.int32), seen.view.astype(np.int32), np.c_[seen.xy, none], np.c_[1 / sigma_px, none]
+    )
 
 
 def stack(cameras: Sequence[Camera], poses: Sequence[Pose]) -> tuple[F64, F64, F64, F64]:

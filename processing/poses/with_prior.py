@@ -16,12 +16,12 @@ from lfrig.processing.poses.join_photo import join_located, locate, refuse_or_do
 from lfrig.processing.poses.matching import Gallery, Matches
 from lfrig.processing.poses.priors import (
     PhotoPrior,
+    centred_arrangement,
     depth_limits,
-    given_arrangement,
     neighbours,
     photo_prior,
     prior_band_px,
-    recentred,
+    recentred_arrangement,
     turntable_arrangement,
     with_photo,
 )
@@ -54,13 +54,12 @@ def solve_with_prior(
     ``kind`` is ``given`` or ``colmap-turntable``; ``features`` hold the photo's last.
     """
     names = [s.id for s in sources]
-    arrangement = given_arrangement(sources) if kind == "given" else turntable_arrangement(sources, prior)
-    # Given poses are moved around the cameras, so that a world whose origin is far away costs no digits; the turntable
-    # has its axis at the origin already.
+    # The turntable has its axis at the origin already.
     origin = None
     if kind == "given":
-        origin = np.mean([p.centre for p in arrangement.mounts], axis=0)
-        arrangement = _moved(arrangement, origin)
+        arrangement, origin = centred_arrangement(sources)
+    else:
+        arrangement = turntable_arrangement(sources, prior)
     guide = Guide(sources, evidence, depth_limits(sources, prior), True)
     expected = arrangement.poses(np.zeros(arrangement.size))
     gate.refuse_identical_poses(expected, names, guide.depth_range[0])
@@ -84,9 +83,14 @@ def solve_with_prior(
         _check_turntable(final, agreement, features, unguided, guide, prior.turntable_sigma_deg, monitor)
     refuse_or_doubt(agreement.agreeing[-1], final, features[-1], known, target, monitor)
     _report_photo_angle(final, target, monitor)
-    if origin is None:
-        return final
-    return replace(final, arrangement=_moved(final.arrangement, -origin), points=final.points + origin)
+    return final if origin is None else moved_back(final, origin)
+
+
+def moved_back(solved: Structure, origin: F64) -> Structure:
+    """What was solved around ``origin`` [3] in the frame of the given poses."""
+    return replace(
+        solved, arrangement=recentred_arrangement(solved.arrangement, -origin), points=solved.points + origin
+    )
 
 
 def is_free(arrangement: Arrangement) -> bool:
@@ -210,8 +214,3 @@ def _report_photo_angle(final: Structure, target: Photo, monitor: Monitor) -> No
             f"photo {target.id}: the turntable said {view.angle_deg:.2f}°, the images say "
             f"{view.angle_deg + turn:.2f}°; the images are believed",
         )
-
-
-def _moved(arrangement: Arrangement, origin: F64) -> Arrangement:
-    """The arrangement in a world whose origin is moved to ``origin`` [3]."""
-    return replace(arrangement, mounts=tuple(recentred(m, origin) for m in arrangement.mounts))

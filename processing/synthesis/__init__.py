@@ -2,7 +2,6 @@
 
 - ``settings``  the knobs
 - ``field``     the disparity on the grid of an output view, z-buffered or by fixed point; what the photo does not show
-- ``peel``      the background that lies behind the rims of near surfaces
 - ``matte``     near and far colours of the mixed pixels at depth steps, and how much of each
 - ``views``     the views: one layer inpainted view by view, or two layers put over each other
 

@@ -9,10 +9,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from lfrig.processing.kernels.view_field import fill_holes, fixed_point, z_buffered_field
 from lfrig.processing.model import F32
 from lfrig.processing.synthesis.settings import DEFAULT_SYNTHESIS, Method, SynthesisSettings
 
-SUBPIXELS = np.array([(-0.25, -0.25), (-0.25, 0.25), (0.25, -0.25), (0.25, 0.25)], np.float32)
+HOLE_ROUNDS = 8
+"""Of the yardsticks, whose results stay what they were: wider holes take the median disparity."""
 
 
 def view_offsets(rows: int, cols: int) -> list[tuple[float, float]]:
@@ -30,75 +32,10 @@ def view_field(
     field : float32 [H, W], hidden : bool [H, W]
     """
     if method == "fixed_point":
-        return _fixed_point(disparity, disparity.copy(), dr, dc, 6, np.inf), np.zeros(disparity.shape, bool)
-    field = _fill_holes(splat(disparity, dr, dc))
-    field = _fixed_point(disparity, field, dr, dc, 3, settings.match_px)
-    sample = gather(disparity, field, dr, dc)
-    return field, np.asarray(sample - field > settings.hidden_px)
-
-
-def splat(disparity: F32, dr: float, dc: float, where: NDArray[np.bool_] | None = None) -> F32:
-    """Nearest surface carried to each output pixel, −inf where nothing lands; splatted at twice the density.
-
-    Parameters
-    ----------
-    where : bool [H, W], optional
-        The pixels to carry; by default all.
-    """
-    import cv2
-
-    height, width = disparity.shape
-    if where is None:
-        near = cv2.resize(disparity, (2 * width, 2 * height), interpolation=cv2.INTER_NEAREST)
-        ys, xs = np.mgrid[0 : 2 * height, 0 : 2 * width].astype(np.float32)
-        ys, xs = (ys - 0.5) / 2, (xs - 0.5) / 2
-    else:
-        ys, xs = (a.astype(np.float32) for a in np.nonzero(where))
-        ys, xs = (ys + SUBPIXELS[:, :1]).ravel(), (xs + SUBPIXELS[:, 1:]).ravel()
-        near = np.tile(disparity[where], len(SUBPIXELS))
-    x = np.rint(xs - np.float32(dc) * near).astype(np.int32)
-    y = np.rint(ys - np.float32(dr) * near).astype(np.int32)
-    inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
-    out = np.full(height * width, -np.inf, np.float32)
-    np.maximum.at(out, y[inside] * width + x[inside], near[inside])
-    return out.reshape(height, width)
-
-
-def _fill_holes(field: F32, rounds: int = 8) -> F32:
-    """Holes grow shut from the far side: the lowest disparity next to them."""
-    import cv2
-
-    window = np.ones((3, 3), np.uint8)
-    for _ in range(rounds):
-        hole = np.isneginf(field)
-        if not hole.any():
-            return field
-        lowest = cv2.erode(np.where(hole, np.float32(1e9), field), window)
-        field = np.where(hole & (lowest < 1e8), lowest, field).astype(np.float32)
-    hole = np.isneginf(field)
-    if hole.any():
-        known = field[~hole]
-        field[hole] = np.median(known) if known.size else 0.0
-    return field
-
-
-def gather(disparity: F32, field: F32, dr: float, dc: float) -> F32:
-    """The centre's disparity, float32 [H, W], where ``field`` says that each pixel of the view at (dr, dc) lies."""
-    import cv2
-
-    ys, xs = np.mgrid[0 : field.shape[0], 0 : field.shape[1]].astype(np.float32)
-    x, y = xs + np.float32(dc) * field, ys + np.float32(dr) * field
-    return np.asarray(cv2.remap(disparity, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
-
-
-def _fixed_point(disparity: F32, field: F32, dr: float, dc: float, rounds: int, limit: float) -> F32:
-    """``g ← d(u + g·offset)``, as long as it moves less than ``limit``: sub-pixel polish on smooth surfaces."""
-    for _ in range(rounds):
-        sample = gather(disparity, field, dr, dc)
-        field = np.where(np.abs(sample - field) < limit, sample, field).astype(np.float32)
-    return field
+        return fixed_point(disparity, disparity.copy(), dr, dc, 6, np.inf), np.zeros(disparity.shape, bool)
+    return z_buffered_field(disparity, dr, dc, settings.match_px, settings.hidden_px, HOLE_ROUNDS)
 
 
 def fill_nan(disparity: F32) -> F32:
     """Unknown disparities replaced by the lowest known one of their neighbourhood, growing: the far side."""
-    return _fill_holes(np.where(np.isfinite(disparity), disparity, -np.inf).astype(np.float32), rounds=10_000)
+    return fill_holes(np.where(np.isfinite(disparity), disparity, -np.inf).astype(np.float32), rounds=10_000)

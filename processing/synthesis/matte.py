@@ -6,35 +6,16 @@ layered representation", SIGGRAPH 2004). Put back over each other without a shif
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
+from lfrig.processing.kernels.layered_views import Layers
+from lfrig.processing.kernels.rims import Mask, grow, grow_in_place, near_rim, peel
 from lfrig.processing.model import F32
-from lfrig.processing.synthesis.peel import Mask, Peeled, grow, near_rim, peel
 from lfrig.processing.synthesis.settings import SynthesisSettings
 
 MARGIN_PX = 3
 """The near surface is continued this far beyond what is drawn of it, so that no sample mixes it with the far one."""
-
-
-@dataclass(frozen=True)
-class Layers:
-    """The photo taken apart at its depth steps. ``_grey`` are grey levels of 0..255.
-
-    ``behind`` is the far layer: the surface with its near rims peeled off, ``far_grey`` float32 [H, W, 3] its colours.
-    ``near_px`` float32 [H, W] is the near surface's disparity, continued beyond its edge; ``near_grey`` float32
-    [H, W, 4] its colours and its share 0..1 of a pixel. ``near_drawn`` bool [H, W]: the pixels at steps that are drawn
-    as near layer over far layer. ``far_drawn`` bool [H, W]: far pixels at steps, whose colour in the photo is mixed.
-    """
-
-    behind: Peeled
-    far_grey: F32
-    near_px: F32
-    near_grey: F32
-    near_drawn: Mask
-    far_drawn: Mask
 
 
 def split_layers(photo_grey: F32, disparity: F32, reach_px: int, settings: SynthesisSettings) -> Layers:
@@ -58,58 +39,74 @@ def split_layers(photo_grey: F32, disparity: F32, reach_px: int, settings: Synth
     continued = beyond
     for _ in range(MARGIN_PX):
         continued = continued | (_dilate(continued, 1) & ~behind.peeled & ~near)
-    near_grey, near_known = grow(photo_grey, behind.peeled & ~rim & ~beyond, rim | continued, reach_px + MARGIN_PX)
+    near_grey = np.empty((*disparity.shape, 4), np.float32)
+    near_grey[..., :3], near_grey[..., 3] = photo_grey, 1
+    near_known = grow_in_place(near_grey, behind.peeled & ~rim & ~beyond, rim | continued, reach_px + MARGIN_PX)
     # What is left of a near surface deeper than it was peeled is not background either.
     deep = _dilate(behind.peeled, MARGIN_PX) & ~behind.peeled
     deep &= disparity + _highest(-behind.disparity, MARGIN_PX) > step
     sure_far = ~(behind.peeled | rim | deep)
     far_grey, far_known = grow(photo_grey, sure_far, behind.peeled | rim, reach_px + 1)
-    share, mixed = _shares(photo_grey, near_grey, far_grey, rim & near_known & far_known, settings)
-    share = np.where(rim & ~mixed, np.float32(0), share)
-    share[near & ~mixed] = 1
-    share[continued & ~rim] = 0
-    _reconcile(photo_grey, near_grey, far_grey, share, rim)
-    far_grey, _ = grow(far_grey, sure_far | rim, behind.peeled & ~rim, reach_px)
+    mixed = _part(photo_grey, near_grey, far_grey, rim, near & rim, near_known & far_known, settings)
+    near_grey[continued & ~rim, 3] = 0
+    grow_in_place(far_grey, sure_far | rim, behind.peeled & ~rim, reach_px)
+    changed = rim | behind.peeled
+    far_grey[changed] = np.clip(far_grey[changed], 0, 255)
     near_px, _ = grow(disparity[..., None], near | behind.peeled, continued, MARGIN_PX + 2)
     at_mixed = _dilate(mixed, 1)
     return Layers(
-        behind=behind,
-        far_grey=np.clip(far_grey, 0, 255),
+        behind_px=behind.disparity,
+        far_grey=far_grey,
         near_px=np.ascontiguousarray(near_px[..., 0]),
-        near_grey=np.dstack([np.clip(near_grey, 0, 255), share]),
+        near_grey=near_grey,
         near_drawn=(near & at_mixed) | (beyond & _dilate(mixed, 2)),
         far_drawn=_dilate(far & at_mixed, 2) & ~behind.peeled,
     )
 
 
-def _shares(photo: F32, near_grey: F32, far_grey: F32, known: Mask, settings: SynthesisSettings) -> tuple[F32, Mask]:
-    """The near surface's share, float32 [H, W], where the colours tell it (second output), else 1.
+def _part(
+    photo: F32, near_grey: F32, far_grey: F32, rim: Mask, near: Mask, known: Mask, settings: SynthesisSettings
+) -> Mask:
+    """Part near and far colours of the pixels at steps, in place; returns, bool [H, W], those that are mixed.
+
+    ``near_grey`` float32 [H, W, 4] gets the near surface's share too: 1 and 0 on the two sides of a step where the
+    colours do not tell it.
+    """
+    at = np.flatnonzero(rim)
+    own, near_own, far_own = (a.reshape(-1, a.shape[2])[at, :3] for a in (photo, near_grey, far_grey))
+    share, fits = _shares(own, near_own, far_own, settings)
+    fits &= known.ravel()[at]
+    share = np.where(fits, share, near.ravel()[at]).astype(np.float32)
+    near_own, far_own = _reconciled(own, near_own, far_own, share)
+    near_grey.reshape(-1, 4)[at] = np.column_stack([np.clip(near_own, 0, 255), share])
+    far_grey.reshape(-1, 3)[at] = far_own
+    mixed = np.zeros(rim.shape, bool)
+    mixed.ravel()[at] = fits
+    return mixed
+
+
+def _shares(own: F32, near: F32, far: F32, settings: SynthesisSettings) -> tuple[F32, Mask]:
+    """The near surface's share of N pixels from the colours [N, 3], float32 [N], and whether the colours tell it.
 
     pixel = share · near + (1 − share) · far, by least squares over the channels.
     """
-    own, far = photo[known], far_grey[known]
-    axis = near_grey[known] - far
+    axis = near - far
     length2 = np.einsum("nc,nc->n", axis, axis)
-    found = np.clip(np.einsum("nc,nc->n", own - far, axis) / np.maximum(length2, 1), 0, 1)
-    misfit = own - far - found[:, None] * axis
-    channels = photo.shape[2]
+    share = np.clip(np.einsum("nc,nc->n", own - far, axis) / np.maximum(length2, 1), 0, 1)
+    misfit = own - far - share[:, None] * axis
+    channels = own.shape[1]
     fits = length2 > channels * settings.matte_contrast_grey**2
     fits &= np.einsum("nc,nc->n", misfit, misfit) < channels * settings.matte_fit_grey**2
-    mixed = np.zeros(known.shape, bool)
-    mixed[known] = fits
-    share = np.ones(known.shape, np.float32)
-    share[mixed] = found[fits]
-    return share, mixed
+    return share, fits
 
 
-def _reconcile(photo: F32, near_grey: F32, far_grey: F32, share: F32, where: Mask) -> None:
-    """Change both layers' colours, in place and as little as possible, so that together they give the photo."""
-    near_share = share[where][:, None]
+def _reconciled(own: F32, near: F32, far: F32, share: F32) -> tuple[F32, F32]:
+    """Both layers' colours [N, 3], changed as little as possible so that together they give the photo's."""
+    near_share = share[:, None]
     far_share = 1 - near_share
-    rest = photo[where] - near_share * near_grey[where] - far_share * far_grey[where]
+    rest = own - near_share * near - far_share * far
     rest /= near_share**2 + far_share**2
-    near_grey[where] += near_share * rest
-    far_grey[where] += far_share * rest
+    return near + near_share * rest, far + far_share * rest
 
 
 def _dilate(mask: Mask, radius_px: int) -> Mask:

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 
     from lfrig.contracts.bench import BenchDocument
 
-WITH_SCENES = ("accuracy", "poses", "speed")
-LATER = ("skip", "kernels", "rig", "models", "ablation")
+WITH_SCENES = ("accuracy", "poses", "speed", "skip")
+LATER = ("rig", "models", "ablation")
 
 
 def register(app: typer.Typer) -> None:
@@ -28,7 +28,10 @@ def register(app: typer.Typer) -> None:
 def bench(
     context: typer.Context,
     name: Annotated[
-        str, typer.Argument(metavar="accuracy|pareto|stress|decode|poses|regression|speed", help="Which benchmark.")
+        str,
+        typer.Argument(
+            metavar="accuracy|pareto|stress|decode|poses|speed|kernels|skip|regression", help="Which benchmark."
+        ),
     ],
     out: Annotated[Path, typer.Option(help="Folder for the JSON, the Markdown and the plots.")] = Path("out/bench"),
     size: Annotated[
@@ -40,7 +43,9 @@ def bench(
     ] = None,
     scenes: Annotated[
         str | None,
-        typer.Option(metavar="NAME,NAME", help="Other scenes, for accuracy, poses and speed; bounds are not checked."),
+        typer.Option(
+            metavar="NAME,NAME", help="Other scenes, for accuracy, poses, speed and skip; bounds are not checked."
+        ),
     ] = None,
     check: Annotated[bool, typer.Option("--check", help="Exit 1 when a check fails.")] = False,
 ) -> None:

@@ -16,7 +16,7 @@ def test_benchmarks_are_found_by_name() -> None:
     for name in lfrig.bench.BENCHES:
         assert callable(lfrig.bench.load(name).run)
     with pytest.raises(UsageError, match="accuracy"):
-        lfrig.bench.load("speed")
+        lfrig.bench.load("luck")
 
 
 def test_a_document_is_written_as_json_and_markdown(tmp_path: Path) -> None:

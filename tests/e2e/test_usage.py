@@ -56,7 +56,7 @@ def test_nonsense(lfrig, arguments: list[str]) -> None:
     ["export", "R", "--format", "ply"], ["export", "R", "--format", "mp4"],
     ["capture", "S", "--rig", "rig.toml"],
     ["capture", "S", "--rig", "sim", "--resume"],
-    ["bench", "kernels"], ["bench", "ablation"],
+    ["bench", "models"], ["bench", "ablation"],
 ])  # fmt: skip
 def test_not_in_this_version(lfrig, arguments: list[str]) -> None:
     outcome = lfrig(*arguments)

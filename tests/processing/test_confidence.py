@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from lfrig.processing.confidence import Clues, ConfidenceModel, estimate, feature_maps, shipped_model
-from lfrig.processing.confidence.model import Curve, Layer
+from lfrig.processing.confidence.model import Curve
+from lfrig.processing.kernels.perceptron import Layer
 from lfrig.processing.model import Camera, Evidence, LightField, Pose, ScaleFit, Source
 from lfrig.processing.plane_fit import Planes
 from lfrig.processing.visibility import land

@@ -9,9 +9,10 @@ import pytest
 
 from lfrig.contracts.errors import BadInput
 from lfrig.processing.depth import estimate_disparity
-from lfrig.processing.dpv import DpvSettings, auto_range, light_field_evidence, noise_of_cost, plane_grid
+from lfrig.processing.dpv import DpvSettings, auto_range, light_field_evidence, plane_grid
 from lfrig.processing.kernels.softmax import softmax_peak
 from lfrig.processing.model import LightField
+from lfrig.processing.noise_floor import noise_of_cost
 from tests.processing import scenes
 
 
@@ -97,9 +98,9 @@ def test_empty_range_is_refused(light_field: LightField, bad: tuple[float, float
 
 
 def test_plane_grid_covers_the_range() -> None:
-    first, step, count = plane_grid((-1.0, 1.2), DpvSettings())
-    assert first == -1.0 and first + step * (count - 1) == pytest.approx(1.2) and step <= 0.0221
-    assert plane_grid((-50, 50), DpvSettings())[2] == DpvSettings().max_planes
+    grid = plane_grid((-1.0, 1.2), DpvSettings())
+    assert grid.first == -1.0 and grid.values()[-1] == pytest.approx(1.2) and grid.step <= 0.0221
+    assert plane_grid((-50, 50), DpvSettings()).count == DpvSettings().max_planes
 
 
 def test_the_peak_is_not_pulled_by_a_uniform_floor() -> None:
@@ -107,12 +108,13 @@ def test_the_peak_is_not_pulled_by_a_uniform_floor() -> None:
     planes = np.arange(100)
     p = np.exp(-0.5 * ((planes - 30.3) / 1.2) ** 2)
     p = 0.5 * p / p.sum() + 0.5 / 100
-    _, index, _ = softmax_peak(-np.log(p)[None, None].astype(np.float32), 1.0, 3)
+    cost = np.rint(-1000 * np.log(p)).astype(np.uint16)
+    _, index, _ = softmax_peak(cost[None, None], 1e-3, 3)
     assert index[0, 0] == pytest.approx(30.3, abs=0.1)
 
 
 def test_noise_of_a_perfect_match_is_zero() -> None:
-    assert noise_of_cost(np.zeros((8, 8, 4), np.float32)) == 0
+    assert noise_of_cost(np.zeros((8, 8, 4), np.uint16)) == 0
 
 
 def test_same_bytes_for_any_thread_count(light_field: LightField) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lfrig.processing.dpv import DEFAULT_DPV, light_field_evidence
-from lfrig.processing.kernels.plane_cost import grey_views
+from lfrig.processing.matching_views import matching_views
 from lfrig.processing.model import LightField
 from lfrig.processing.plain_areas import DEFAULT_PLAIN, find_plain_areas
 
@@ -30,10 +30,8 @@ def shaded(disparity: float, noise: float = 0.0) -> LightField:
 @pytest.mark.parametrize("disparity", [-0.43, 0.21])
 def test_shading_of_a_fraction_of_a_grey_level_gives_disparity(disparity: float) -> None:
     light_field = shaded(disparity)
-    grey = grey_views(light_field.views)
-    keep = np.arange(49) != 24
-    offsets = light_field.offsets().reshape(-1, 2)[keep]
-    found = find_plain_areas(np.ascontiguousarray(grey[keep]), grey[24], offsets, 0.0, DEFAULT_PLAIN)
+    views = matching_views(light_field, 0.0)
+    found = find_plain_areas(views.full, views.half, 0.0, DEFAULT_PLAIN)
     inner = (slice(10, -10), slice(10, -10))
     assert found.weight[inner].min() > 0.9
     assert np.median(np.abs(found.disparity[inner] - disparity)) < 0.012
@@ -53,8 +51,6 @@ def test_evidence_of_a_plain_area_is_not_drawn_to_zero() -> None:
 
 def test_textured_areas_are_left_alone() -> None:
     rng = np.random.default_rng(0)
-    views = np.broadcast_to(rng.integers(0, 255, (48, 64, 3), np.uint8), (5, 5, 48, 64, 3))
-    grey = grey_views(np.ascontiguousarray(views))
-    keep = np.arange(25) != 12
-    offsets = LightField("t", np.ascontiguousarray(views)).offsets().reshape(-1, 2)[keep]
-    assert not find_plain_areas(np.ascontiguousarray(grey[keep]), grey[12], offsets, 0.0, DEFAULT_PLAIN).weight.any()
+    pictures = np.broadcast_to(rng.integers(0, 255, (48, 64, 3), np.uint8), (5, 5, 48, 64, 3))
+    views = matching_views(LightField("t", np.ascontiguousarray(pictures)), 0.0)
+    assert not find_plain_areas(views.full, views.half, 0.0, DEFAULT_PLAIN).weight.any()

@@ -14,7 +14,7 @@ from lfrig.contracts.progress import Monitor
 from lfrig.processing import scale_fit
 from lfrig.processing.dpv import light_field_evidence
 from lfrig.processing.export.pfm import read_pfm
-from lfrig.processing.model import Anchors, Optics
+from lfrig.processing.model import Anchors, Evidence, Optics
 from lfrig.processing.scale_fit import ScaleFitSettings, ScalePrior, fit_affine, fit_paper, fit_scale
 from tests.processing import scenes
 
@@ -162,3 +162,22 @@ def test_anchors_at_steps_and_borders_are_left_out(capture) -> None:
         Anchors(xy, np.full(4, 0.5), np.zeros((4, 3))), evidence, ScaleFitSettings()
     )
     assert not usable.any()
+
+
+def test_a_frontal_wall_behind_a_few_near_anchors_does_not_contradict_the_optics() -> None:
+    """A line without slope explains the wall best: it must not outvote the recorded optics that explain all."""
+    rng = np.random.default_rng(0)
+    depth = np.r_[np.full(58, scenes.FAR_M), np.full(9, scenes.NEAR_M)]
+    px = scenes.BASELINE_M * scenes.FOCAL
+    disparity = np.zeros((scenes.HEIGHT, scenes.WIDTH), np.float32)
+    xy = np.stack([10 + 4 * (np.arange(67) % 17), 10 + 8 * (np.arange(67) // 17)], 1).astype(np.float64)
+    error = np.r_[0.055, -0.05, rng.normal(0, 0.009, 65)]  # two that a line through the wall alone starts from
+    for (x, y), z, e in zip(xy.astype(int), depth, error, strict=True):
+        disparity[y : y + 2, x : x + 2] = px * (1 / z - 1 / scenes.FOCUS_M) + e
+    sure = np.ones_like(disparity)
+    evidence = Evidence(np.zeros((*sure.shape, 4), np.uint16), (-0.5, 0.3), disparity, sure)
+    scatter = np.r_[0.001, -0.001, rng.normal(0, 0.002, 65)]
+    anchors = Anchors(xy, 1 / (1 / depth + scatter), np.zeros((67, 3)))
+    monitor = Monitor()
+    fit = fit_scale(scenes.light_field("a", 0.0, 3), scenes.CAMERA, anchors, evidence, ScaleFitSettings(), monitor)
+    assert fit.a == pytest.approx(1 / px, rel=0.04) and monitor.notices == []

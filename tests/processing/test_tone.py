@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lfrig.processing.tone import fit_tone, saturation
+from lfrig.processing.tone import fit_tone, marked
 
 
 def scene(seed: int = 0) -> np.ndarray:
@@ -39,5 +39,5 @@ def test_one_grey_gives_a_gain_alone() -> None:
 def test_saturation_spreads_with_the_blur() -> None:
     image = np.full((20, 20, 3), 100, np.uint8)
     image[10, 10, 1] = 255
-    share = saturation(image, 1.0)
+    share = marked(image, 1.0)[..., 3] / 255
     assert share[10, 10] > 0.1 and share[10, 11] > 0.02 and share[2, 2] == 0

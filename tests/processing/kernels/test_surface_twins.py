@@ -1,4 +1,4 @@
-"""Softmax and plane fits against their NumPy twins: odd sizes, one plane, one pixel, hostile values."""
+"""Plane fits against their NumPy twin: odd sizes, one pixel, hostile values."""
 
 from __future__ import annotations
 
@@ -7,28 +7,12 @@ from importlib.util import find_spec
 import numpy as np
 import pytest
 
-from lfrig.processing.kernels import plane_fit, softmax
+from lfrig.processing.kernels import plane_fit
 from tests.processing.kernels.twins import both
 
 pytestmark = pytest.mark.skipif(
     find_spec("lfrig.processing.kernels._native") is None, reason="no native core here: only the twins exist"
 )
-
-
-@pytest.mark.parametrize("shape", [(1, 1, 1), (3, 5, 2), (4, 7, 16), (5, 6, 83)])
-def test_softmax(monkeypatch: pytest.MonkeyPatch, shape: tuple[int, int, int]) -> None:
-    cost = np.random.default_rng(1).uniform(0, 20, shape).astype(np.float32)
-    cost.flat[0] = 1e30  # a wall, as the aggregation leaves where nothing is known
-    native, twin = both(monkeypatch, lambda: softmax.softmax_peak(cost, 2.0, 3))
-    assert np.abs(native[0].astype(int) - twin[0].astype(int)).max() <= 1
-    for found, expected in zip(native[1:], twin[1:], strict=True):
-        np.testing.assert_allclose(found, expected, atol=2e-5)
-    assert np.abs(native[0].sum(2, dtype=np.int64) - 65535).max() <= shape[2]
-
-
-def test_softmax_of_equal_costs_takes_the_first_peak() -> None:
-    _, index, mass = softmax.softmax_peak(np.zeros((2, 3, 40), np.float32), 4.0, 3)
-    assert index == pytest.approx(1.5) and mass == pytest.approx(0.1)
 
 
 @pytest.mark.parametrize("threads", [1, 3])

@@ -10,18 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lfrig.processing import geometry
+from lfrig.processing.kernels.rig_chain import adjoint, motion_derivative, rotation_matrix
 from lfrig.processing.model import Camera, Pose
 from lfrig.processing.poses.adjust import Disparity, Reprojection, adjust
-from lfrig.processing.poses.arrangement import (
-    Arrangement,
-    Line,
-    Viewpoint,
-    adjoint,
-    motion_derivative,
-    moved,
-    rotation_matrix,
-    rotation_vector,
-)
+from lfrig.processing.poses.arrangement import Arrangement, Line, Viewpoint, moved, rotation_vector
 from lfrig.processing.poses.tracks import Observations
 
 CAMERA = Camera.centred(320, 240, 600.0)
@@ -215,9 +207,9 @@ def test_disparity_derivatives_against_differences(studio, points):
         e[column] = step
         changed = (linear(x + e).residual - linear(x - e).residual)[:, 0] / (2 * step)
         for m in range(len(changed)):
-            pose = arrangement.poses(x)[here.view[m]]
-            local = pose.rotation @ points[here.point[m]] + pose.translation
-            move = chain[here.view[m], :, column]
+            pose = arrangement.poses(x)[block.view[m]]
+            local = pose.rotation @ points[block.point[m]] + pose.translation
+            move = chain[block.view[m], :, column]
             motion = np.cross(move[:3], local) + move[3:6]
             expected = here.d_local[m, 0] @ motion + here.d_inner[m, 0] @ move[6:]
             assert expected == pytest.approx(changed[m], rel=1e-4, abs=1e-4)

@@ -8,7 +8,7 @@ import pytest
 from lfrig.contracts.errors import GeometryRefused
 from lfrig.processing.agreement import Agreement
 from lfrig.processing.poses.anchors import ScaleEstimate, common_scale, furthest_estimate
-from lfrig.processing.poses.confirm import refuse_untied, refuse_untied_photo
+from lfrig.processing.poses.confirm import refuse_untied, refuse_untied_corrections, refuse_untied_photo
 from lfrig.processing.poses.gate import refuse_scattered_views
 
 NAMES = ["000", "001", "002"]
@@ -44,6 +44,15 @@ def test_nothing_is_refused_where_all_is_tied_or_nothing_can_be_told() -> None:
     refuse_untied(agreement([(0, 1), (1, 2), (2, 3)]), NAMES, "900")
     refuse_untied(None, NAMES, "900")
     refuse_scattered_views([[0, 1, 2]], NAMES)
+
+
+def test_a_correction_that_nothing_near_confirms_is_refused() -> None:
+    ties = agreement([(0, 1), (1, 3)])
+    refuse_untied_corrections(ties, [1], NAMES)
+    refuse_untied_corrections(None, [2], NAMES)
+    with pytest.raises(GeometryRefused, match="captures 002:") as caught:
+        refuse_untied_corrections(ties, [1, 2], NAMES)
+    assert caught.value.code == "capture-disagrees"
 
 
 def test_scattered_views_are_listed() -> None:

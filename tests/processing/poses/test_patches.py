@@ -5,9 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from lfrig.processing.kernels.patches import with_slopes
 from lfrig.processing.model import LightField
 from lfrig.processing.poses.corners import corner_disparities, find_corners, grey_of, light_field_corners, rim_views
-from lfrig.processing.poses.patches import align, normalised
+from lfrig.processing.poses.patches import align as align_pictures
+from lfrig.processing.poses.patches import normalised
+
+
+def align(first, second, *places):
+    return align_pictures(with_slopes(first), with_slopes(second), *places)
 
 
 def wavy(x, y):

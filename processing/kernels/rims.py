@@ -1,6 +1,8 @@
-"""What lies behind the rims of near surfaces: near pixels next to a depth step are peeled off, ring by ring from the
-step inwards, and the far surface is continued under them (a layered depth image after Shade et al., SIGGRAPH 1998,
-whose second layer reaches as far as any view can look).
+"""What lies behind and beside the rims of near surfaces. C++ forms: ``rims.cpp``.
+
+Near pixels next to a depth step are peeled off, ring by ring from the step inwards, and the far surface is continued
+under them (a layered depth image after Shade et al., SIGGRAPH 1998, whose second layer reaches as far as any view can
+look). In the same way colours grow from where they are known.
 """
 
 from __future__ import annotations
@@ -10,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lfrig.contracts.native import load_native
 from lfrig.processing.model import F32
 
 Mask = NDArray[np.bool_]
@@ -33,9 +36,14 @@ class Peeled:
 
 def near_rim(disparity: F32, step_px: float) -> Mask:
     """Pixels that are more than ``step_px`` nearer than one of their eight neighbours."""
+    return np.asarray(disparity - lowest(disparity, 3) > step_px)
+
+
+def lowest(values: F32, window_px: int) -> F32:
+    """The lowest value of the window around each pixel."""
     import cv2
 
-    return np.asarray(disparity - cv2.erode(disparity, np.ones((3, 3), np.uint8)) > step_px)
+    return np.asarray(cv2.erode(values, np.ones((window_px, window_px), np.uint8)))
 
 
 def peel(disparity: F32, step_px: float, reach_px: int) -> Peeled:
@@ -48,6 +56,20 @@ def peel(disparity: F32, step_px: float, reach_px: int) -> Peeled:
     step_px : float
         Neighbours that differ by more are two surfaces.
     """
+    native = load_native("lfrig.processing.kernels._native")
+    if native is None:
+        return peel_numpy(disparity, step_px, reach_px)
+    surface = np.ascontiguousarray(disparity, np.float32)
+    behind, done = np.empty_like(surface), np.empty(surface.shape, np.uint8)
+    native.peel(
+        surface, lowest(surface, SLOPE_WINDOW_PX), near_rim(surface, step_px).view(np.uint8), behind, done,
+        step_px, SLOPE_LIMIT * step_px, SLOPE_WINDOW_PX, SLOPE_PIXELS, reach_px,
+    )  # fmt: skip
+    return Peeled(behind, done.view(bool))
+
+
+def peel_numpy(disparity: F32, step_px: float, reach_px: int) -> Peeled:
+    """NumPy twin."""
     height, width = disparity.shape
     stride = width + 2
     # One pixel of infinity around: nothing is behind the frame's border, and no neighbour falls off the arrays.
@@ -92,8 +114,7 @@ def _slopes(disparity: F32, step_px: float) -> tuple[F32, F32]:
     import cv2
 
     found = []
-    lowest = cv2.erode(disparity, np.ones((SLOPE_WINDOW_PX, SLOPE_WINDOW_PX), np.uint8))
-    far = disparity - lowest <= step_px
+    far = disparity - lowest(disparity, SLOPE_WINDOW_PX) <= step_px
     for axis in (0, 1):
         difference = np.diff(disparity, axis=axis, append=np.inf).astype(np.float32)
         valid = far & (np.abs(difference) <= SLOPE_LIMIT * step_px)
@@ -120,14 +141,35 @@ def grow(values: F32, known: Mask, wanted: Mask, rounds: int) -> tuple[F32, Mask
     (float32 [H, W, C], bool [H, W])
         The values (unchanged outside ``wanted``), and where they are known now.
     """
+    grown = np.array(values, np.float32, order="C")
+    return grown, grow_in_place(grown, known, wanted, rounds)
+
+
+def grow_in_place(values: F32, known: Mask, wanted: Mask, rounds: int) -> Mask:
+    """`grow` that writes into ``values`` (C-contiguous); returns where they are known now."""
+    native = load_native("lfrig.processing.kernels._native")
+    if native is None:
+        values[...], reached = grow_numpy(values, known, wanted, rounds)
+        return reached
+    now = known.astype(np.uint8)
+    native.grow(values, now, np.ascontiguousarray(wanted).view(np.uint8), _gaussian(), rounds)
+    return now.view(bool)
+
+
+def _gaussian() -> F32:
+    """float32 [2·GROW_RADIUS_PX + 1]², 1 in the middle."""
+    d2 = np.square(np.arange(-GROW_RADIUS_PX, GROW_RADIUS_PX + 1))
+    return np.asarray(np.exp(-(d2[:, None] + d2) / (2 * GROW_SIGMA_PX**2)), np.float32)
+
+
+def grow_numpy(values: F32, known: Mask, wanted: Mask, rounds: int) -> tuple[F32, Mask]:
+    """NumPy twin."""
     r = GROW_RADIUS_PX
     height, width, channels = values.shape
     stride = width + 2 * r
     reach = range(-r, r + 1)
     offsets = np.array([dy * stride + dx for dy in reach for dx in reach])
-    weights = np.array(
-        [np.exp(-(dy * dy + dx * dx) / (2 * GROW_SIGMA_PX**2)) for dy in reach for dx in reach], np.float32
-    )
+    weights = _gaussian().ravel()
     touching = np.array([-stride - 1, -stride, -stride + 1, -1, 1, stride - 1, stride, stride + 1])
     flat = np.pad(values, ((r, r), (r, r), (0, 0))).reshape(-1, channels)
     have, want = (np.pad(mask, r).ravel() for mask in (known, wanted & ~known))
