@@ -10,7 +10,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,9 @@ from lfrig.processing.geometry import project, projection
 from lfrig.processing.model import F32, F64, U8, Camera, Photo, Pose, Source
 from lfrig.processing.patch import correlation, patch_window
 from lfrig.processing.tone import NO_TEXTURE_GREY
+
+if TYPE_CHECKING:
+    from lfrig.processing.poses.work import PoseWork
 
 MAX_PATCHES = 300
 MIN_PATCHES = 24
@@ -125,30 +129,62 @@ class Agreement:
         return float(share[best]), float(advantage[best])
 
 
-def measure_agreement(sources: Sequence[Source], photo: Photo, camera: Camera, pose: Pose) -> Agreement:
-    """Compare the patches of every source with every other picture."""
-    pictures = [_prepared(s.light_field.centre_view, s.camera.width) for s in sources]
+def measure_agreement(
+    sources: Sequence[Source], photo: Photo, camera: Camera, pose: Pose, work: PoseWork | None = None
+) -> Agreement:
+    """Compare the patches of every source with every other picture; ``work`` remembers what was compared, as long as
+    the two stand as they stood.
+    """
+    from lfrig.processing.poses.work import PoseWork  # the pose stage asks this module, too
+
+    work = PoseWork() if work is None else work
+    held = [*(s.light_field.views for s in sources), photo.image]
+    pictures = [
+        work.once("agreement", (s.light_field.views,), partial(_prepared, s.light_field.centre_view, s.camera.width))
+        for s in sources
+    ]
     pictures.append(_prepared(photo.image8, camera.width))
     places = [*((s.camera, s.pose) for s in sources), (camera, pose)]
     plain = [float(picture.std()) < NO_TEXTURE_GREY for picture in pictures]
     found = np.full((4, len(sources), len(sources) + 1), np.nan)
     for i, source in enumerate(sources):
-        patches = _patches(source, pictures[i])
+        known = held[i], source.evidence.confidence
+        patches = work.once("patches", known, partial(_patches, source, pictures[i]))
         for j, there in enumerate(places):
             if j != i and not plain[j]:
-                found[:, i, j] = _compare(source, patches, pictures[i], there, pictures[j])
+                compare = partial(_compare, source, patches, pictures[i], there, pictures[j])
+                found[:, i, j] = work.once(f"agree {_standing(source, there)}", (*known, held[j]), compare)
     return Agreement(found[0], found[1], Agreement(found[2], found[3]))
 
 
-def check_agreement(sources: Sequence[Source], photo: Photo, camera: Camera, pose: Pose, monitor: Monitor) -> Agreement:
-    """Measure, and act on it.
+def _standing(source: Source, there: tuple[Camera, Pose]) -> str:
+    """Where the corners of a source lie in another picture, near and far, to a pixel: text that is equal as long as
+    nothing moved by more than patches would notice.
+    """
+    camera, disparity = source.camera, source.evidence.disparity
+    w = source.scale.inverse_depth(np.array([disparity.min(), disparity.max()], np.float32))
+    x, y = (np.array([0, side - 1], np.float32) for side in (camera.width, camera.height))
+    xs, ys, ws = (np.asarray(a, np.float32) for a in np.meshgrid(x, y, w))
+    u, v, _ = project(*projection(camera, source.pose, *there), xs, ys, ws)
+    return " ".join(f"{place:.0f}" for place in np.r_[u.ravel(), v.ravel()])
+
+
+def check_agreement(
+    sources: Sequence[Source],
+    photo: Photo,
+    camera: Camera,
+    pose: Pose,
+    monitor: Monitor,
+    work: PoseWork | None = None,
+) -> Agreement:
+    """Measure, and act on it; ``work`` as for `measure_agreement`.
 
     Raises
     ------
     GeometryRefused
         A source whose patches are in no other source, or a photo that has none of any source's.
     """
-    agreement = measure_agreement(sources, photo, camera, pose)
+    agreement = measure_agreement(sources, photo, camera, pose, work)
     half = agreement.half or agreement
     names = [source.light_field.id for source in sources]
     # Of two captures that contradict each other, the one that the photo contradicts too is named.

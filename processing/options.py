@@ -51,6 +51,7 @@ PRESETS: Mapping[str, Preset] = MappingProxyType(
         "preview": Preset(
             0.5,
             Settings(
+                fusion=FusionSettings(planes=64),
                 wide_baseline=WideBaselineSettings(enabled=False),
                 continuation=ContinuationSettings(enabled=False),
             ),

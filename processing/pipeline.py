@@ -184,7 +184,7 @@ def locate(
         note.done(sum(len(a) for a in solution.anchors), "anchors")
     with clock.stage("scale-fit", len(light_fields)) as note:
         ready = fit_sources(light_fields, evidence, solution, options.knobs, monitor)
-        check_agreement(ready, photo, solution.target_camera, solution.target_pose, monitor)
+        check_agreement(ready, photo, solution.target_camera, solution.target_pose, monitor, work)
         note.done(sum(s.scale.anchors for s in ready), "anchors")
     return solution, ready
 

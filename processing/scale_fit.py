@@ -20,6 +20,8 @@ EFFECTIVE_ANCHORS = 60
 DISPARITY_SIGMA_PX = 0.01
 """Standard deviation of an anchor's disparity that need not be explained: where most anchors lie on one frontal plane,
 a line without slope explains these best and takes all others for outliers."""
+SETTLED = 1e-4
+"""A fit that moves by less than this share of its scatter stands still."""
 MIN_OPTICS_SIGMA = 0.005
 PRIOR_LIMIT = 4.0
 """Standard deviations beyond which anchors and recorded optics contradict each other."""
@@ -110,7 +112,7 @@ def fit_affine(
         new_offset = level - new_slope * mean
         moved = abs(new_slope - slope) * float(np.abs(centred).max()) + abs(new_offset - offset)
         slope, offset = new_slope, new_offset
-        if moved < 1e-3 * floor:
+        if moved < SETTLED * scale:
             break
     inlier = np.abs(inverse_depth - (slope * disparity + offset)) < 4.685 * scale
     return ScaleFit(slope, offset, scale, float(inlier.mean()), len(disparity), "affine")
