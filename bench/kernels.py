@@ -116,10 +116,11 @@ def kernel_rows(
         replay.reset()
         with stopwatch() as watch:
             returned = replay.run()
-        difference = largest_difference(promised, kernel.compared(call, replay.outputs(returned)))
+        twins = kernel.compared(call, replay.outputs(returned))
+    difference = largest_difference(promised, twins, ties=kernel.ties, relative=kernel.relative)
     assert watch.cost is not None
     twin = [watch.cost]
-    del ours, promised, returned
+    del ours, promised, returned, twins
     rows = []
     for count in THREADS if kernel.spot.threaded else THREADS[:1]:
         timing = _time(kernel, replay, count, runs, twin, monitor)

@@ -29,8 +29,9 @@ class Kernel:
 
     ``operations`` counts multiplications, additions, comparisons of one call in ``unit``; ``None`` where memory alone
     limits. ``touched`` is the share of the arrays that a call has to read and write. ``tolerance`` bounds the largest
-    difference to the twin, in units of the output. ``exact`` says that no function is used whose rounding the C library
-    chooses: then all machines give the same bits.
+    difference to the twin, in units of the output, or as a share of the largest value (``relative``); ``ties`` is the
+    share of values that may differ more, because rounding decides on which side of a limit they fall. ``exact`` says
+    that no function is used whose rounding the C library chooses: then all machines give the same bits.
     """
 
     spot: Spot
@@ -41,6 +42,8 @@ class Kernel:
     touched: Count = lambda call, outputs: 1.0
     opencv: Opencv = dict
     exact: bool = True
+    ties: float = 0.0
+    relative: bool = False
     compared: Callable[[Call, list[Array]], list[Array]] = lambda call, outputs: outputs
     """Of the outputs, what the kernel promises."""
 
@@ -177,11 +180,12 @@ KERNELS = (
     Kernel(_spot("occupancy", "occupancy", "occupancy"), "where a source has mass", None, 0.0),
     Kernel(
         _spot("fusion", "fusion", "fuse_volume"), "fusion of all sources, with colours", _fusion_operations, 8.0,
-        opencv=_opencv("fuse_volume_by_remap"),
+        opencv=_opencv("fuse_volume_by_remap"), ties=2e-3,
     ),
     Kernel(_spot("plane-fit", "plane_fit", "local_planes"), "bilateral plane fit", _fit_operations, 1e-2),
     Kernel(
-        _spot("band", "band_cost", "band_cost"), "band sweep of all sources", _band_operations, 2.0, exact=False
+        _spot("band", "band_cost", "band_cost"), "band sweep of all sources", _band_operations, 4.0, exact=False,
+        ties=2e-3,
     ),
     Kernel(
         _spot("warp", "warp", "warp_views"), "warp to 48 views", _per_output(55), 1.0, opencv=_opencv("warp_by_remap")
@@ -200,12 +204,15 @@ KERNELS = (
     Kernel(_spot("layer-mean", "layer_mean", "layer_mean"), "mean within a layer", None, 1e-3),
     Kernel(_spot("perceptron", "perceptron", "perceptron"), "confidence's perceptron", None, 1e-3),
     Kernel(_spot("spread", "spread", "spread"), "planes spread into hidden areas", None, 0.0),
-    Kernel(_spot("views", "layered_views", "layered_views"), "layered synthesis of 48 views", None, 1.0),
+    Kernel(_spot("views", "layered_views", "layered_views"), "layered synthesis of 48 views", None, 1.0, ties=2e-3),
     Kernel(_spot("peel", "rims", "peel"), "background under depth steps", None, 1e-3),
     Kernel(_spot("patches", "patches", "align_patches"), "patches aligned", None, 1e-2),
     Kernel(_spot("flow", "patches", "follow_disparities"), "corners followed through the views", None, 1e-2),
     Kernel(_spot("rig-chain", "rig_chain", "rig_chain"), "rig chain and its derivatives", None, 1e-9),
-    Kernel(_spot("normal-equations", "bundle", "reduced_system"), "normal equations of the adjustment", None, 1e-6),
+    Kernel(
+        _spot("normal-equations", "bundle", "reduced_system"), "normal equations of the adjustment", None, 1e-9,
+        relative=True,
+    ),
     Kernel(_spot("unpack", "unpack", "unpack_little10"), "unpack 10 bits", None, 0.0),
 )  # fmt: skip
 UNTIMED = {

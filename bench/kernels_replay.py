@@ -174,13 +174,24 @@ class Replay:
         return [*changed, *(array for array in arrays_in(returned) if not any(array is c for c in changed))]
 
 
-def largest_difference(ours: Sequence[Array], other: Sequence[Array]) -> float:
-    """Largest absolute difference of corresponding arrays; infinite where one is not finite and the other is."""
+def largest_difference(
+    ours: Sequence[Array], other: Sequence[Array], *, ties: float = 0.0, relative: bool = False
+) -> float:
+    """Largest absolute difference of corresponding arrays; infinite where one is not finite and the other is.
+
+    Of each array the ``ties`` share of values that differ most is left out; with ``relative``, differences are shares
+    of the largest value of ``other``'s array.
+    """
     worst = 0.0
     for a, b in zip(ours, other, strict=True):
         x, y = a.astype(np.float64), b.astype(np.float64)
         finite = np.isfinite(x) & np.isfinite(y)
         if not np.array_equal(np.where(finite, 0, x), np.where(finite, 0, y), equal_nan=True):
             return float("inf")
-        worst = max(worst, float(np.abs(x[finite] - y[finite]).max(initial=0)))
+        apart = np.abs(x[finite] - y[finite])
+        left_out = int(ties * apart.size)
+        if apart.size:
+            found = float(np.partition(apart, apart.size - 1 - left_out)[apart.size - 1 - left_out])
+            scale = float(np.abs(y[finite]).max()) if relative else 1.0
+            worst = max(worst, found / (scale or 1.0))
     return worst

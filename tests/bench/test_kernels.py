@@ -96,6 +96,14 @@ def test_differences_see_what_is_not_finite() -> None:
     assert largest_difference([np.array([0], np.uint8)], [np.array([255], np.uint8)]) == 255
 
 
+def test_a_share_of_ties_is_left_out_of_differences() -> None:
+    zeros, other = np.zeros(1000), np.concatenate([np.full(3, 50.0), np.full(997, 0.25)])
+    assert largest_difference([zeros], [other]) == largest_difference([zeros], [other], ties=2e-3) == 50
+    assert largest_difference([zeros], [other], ties=3e-3) == 0.25
+    assert largest_difference([zeros], [other], ties=3e-3, relative=True) == 0.005
+    assert largest_difference([zeros[:0]], [zeros[:0]], ties=0.1, relative=True) == 0
+
+
 @pytest.mark.parametrize("chosen", [None, np.array([0, 2, 3, 7], np.int32)])
 def test_opencv_sweeps_are_correct(chosen: np.ndarray | None) -> None:
     rng = np.random.default_rng(2)
