@@ -27,7 +27,7 @@ def test_what_is_proposed_can_be_stored_and_holds_itself(tmp_path: Path) -> None
     assert [bound.figure for bound in bounds] == list(FIGURES)
     assert all(check.ok for check in checks_of(FIGURES, bounds))
     by_name = {bound.figure: bound for bound in bounds}
-    assert by_name["cpu.fusion"].bound == pytest.approx(2 * FIGURES["cpu.fusion"], rel=0.01)
+    assert by_name["cpu.fusion"].bound == pytest.approx(2 * FIGURES["cpu.fusion"] + 0.5, rel=0.01)
     assert by_name["given.ppe_005"].bound < 95 and by_name["given.mse"].bound > 0.001
 
 
