@@ -233,10 +233,8 @@ def _figures(tally: _Tally) -> dict[str, float]:
         for name in (*SCORED, *(FOUND_POSES if poses == "prior" else ())):
             if scored:
                 figures[f"{poses}.{name}"] = float(np.mean([row[name] for row in scored]))
-    # A stage that takes next to nothing has a ratio that is all noise; the total holds it.
     means = {stage: float(np.mean(list(by_scene.values()))) for stage, by_scene in tally.ratios.items()}
-    floor = 0.02 * means.get("total", 0.0)
-    return figures | {f"cpu.{stage}": value for stage, value in means.items() if value >= floor}
+    return figures | {f"cpu.{stage}": value for stage, value in means.items()}
 
 
 COLUMNS = (

@@ -117,8 +117,7 @@ def match_after_search(task: MatchTask, skips: Skips, tally: Tally | None) -> Ma
         threads=task.threads, monitor=task.monitor,
     )  # fmt: skip
     about_noise = NOISE_PER_HALF * coarse.noise
-    starred = about_noise <= settings.quiet_grey and task.picture.shape[1] >= settings.star_width
-    chosen = full.star() if skips.views and starred else full.others()
+    chosen = full.star() if skips.views and about_noise <= settings.quiet_grey else full.others()
     areas = task.plain_areas(about_noise)
     if areas is not None:
         task.constrain(coarse.cost, coarse.grid, areas.halved(), coarse.noise)

@@ -42,9 +42,6 @@ class DpvSettings:
     search: SearchSettings = DEFAULT_SEARCH
     quiet_grey: float = 1.0
     """Noise up to which the star of views is as good as all of them."""
-    star_width: int = 400
-    """Least width of views [px] from which it is: in smaller ones an error is a larger part of the shift, and poses
-    that rest on disparity feel it (half size: .13 to .21 degrees instead of .08 to .17)."""
 
     def matching(self, step_px: float) -> Matching:
         """How costs of planes ``step_px`` apart are matched."""

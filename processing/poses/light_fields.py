@@ -46,8 +46,8 @@ MAX_ROUNDS = 4
 SETTLED_DEG = 0.03
 """Rotations that change by less move no prediction by a pixel."""
 
-ROUND_CORNERS = 300
-"""So many of each light field place the views to a tenth of what `SETTLED_DEG` asks for."""
+ROUND_CORNERS, ROUND_WIDTH = 300, 500
+"""So many of each light field, of views so wide, place the views to a tenth of what `SETTLED_DEG` asks for."""
 
 LOST_FRACTION = 0.15
 ENOUGH_SHARED = 100
@@ -228,11 +228,13 @@ def settle(
     solved, lost = rough, set[Pair]()
     pairs = directed_pairs(rough.poses, len(looks.reliefs), PAIR_LIMIT_DEG)
     corners = sum(len(relief.corners) for relief in looks.reliefs)
-    part = sum(min(len(relief.corners), ROUND_CORNERS) for relief in looks.reliefs) / max(corners, 1)
+    # A corner places a view the worse the smaller the pictures are: as many more are needed for the same precision.
+    limit = round(ROUND_CORNERS * max(1.0, ROUND_WIDTH / looks.reliefs[0].disparity.shape[1]) ** 2)
+    part = sum(min(len(relief.corners), limit) for relief in looks.reliefs) / max(corners, 1)
     for _ in range(MAX_ROUNDS):
         before = solved.poses
         followed = follow_all(
-            looks, solved.arrangement, solved.parameters, pairs, depth_range_m, flow=lost, limit=ROUND_CORNERS,
+            looks, solved.arrangement, solved.parameters, pairs, depth_range_m, flow=lost, limit=limit,
             known=known,
         )  # fmt: skip
         known = {**known, **followed.by_pair}
