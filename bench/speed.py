@@ -8,7 +8,6 @@ when neighbours use the same core or memory: the STREAM triad of the same run st
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +22,7 @@ from lfrig.contracts.progress import Monitor, Muted
 from lfrig.processing.depth import estimate_disparity
 from lfrig.processing.live import LiveFusion
 from lfrig.processing.model import Photo
-from lfrig.processing.options import PRESETS, ProcessOptions, Settings
+from lfrig.processing.options import PRESETS, ProcessOptions, without_wide_baseline
 from lfrig.processing.pipeline import process
 from lfrig.processing.poses import solve_poses
 from lfrig.processing.prepare import find_evidence
@@ -110,14 +109,6 @@ def _scene_rows(
         yield {"kind": "time", "scene": scene, "what": what, **summary(_costs(do, runs))}
     _, cost = in_fresh_process(_whole_alone, case.without_views(), threads, monitor=monitor)
     yield {"kind": "memory", "scene": scene, "what": "all stages, 4 sources", "peak_rss_mb": cost.peak_rss_mb}
-
-
-def without_wide_baseline(settings: Settings) -> Settings:
-    """The same settings without the wide-baseline refinement, and what rests on it."""
-    return replace(
-        settings, wide_baseline=replace(settings.wide_baseline, enabled=False),
-        continuation=replace(settings.continuation, enabled=False),
-    )  # fmt: skip
 
 
 def _whole(case: Case, options: ProcessOptions, monitor: Monitor) -> Callable[[], object]:

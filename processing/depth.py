@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lfrig.contracts.progress import Monitor
-from lfrig.processing.dpv import DEFAULT_DPV, DpvSettings, auto_range, light_field_evidence, refuse_constant
+from lfrig.processing.dpv import DEFAULT_DPV, DpvSettings, auto_range, light_field_evidence
 from lfrig.processing.matching_views import matching_views
 from lfrig.processing.model import F32, Evidence, LightField
 from lfrig.processing.refine import DEFAULT_REFINE, RefineSettings, smooth, snap_to_edges
@@ -49,7 +49,6 @@ def estimate_disparity(
     """
     monitor = monitor or Monitor()
     with monitor.task("disparity", 3):
-        refuse_constant(light_field)
         views = matching_views(light_field, settings.clipped_blur_px, threads=threads)
         found = disparity_range or auto_range(light_field, views=views, skips=skips, threads=threads)
         monitor.advance()
@@ -59,8 +58,8 @@ def estimate_disparity(
         monitor.advance()
         disparity, picture = evidence.disparity, np.ascontiguousarray(light_field.centre_view)
         if refine.smooth:
-            disparity = smooth(disparity, evidence.confidence, picture, 1.0, refine).value
+            disparity = smooth(disparity, evidence.confidence, picture, 1.0, refine, threads=threads).value
         if refine.snap:
-            disparity = snap_to_edges(disparity, picture, 1.0, refine)
+            disparity = snap_to_edges(disparity, picture, 1.0, refine, skips=skips, tally=tally, threads=threads)
         monitor.advance()
     return DepthMap(disparity, evidence.confidence, evidence, found)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from lfrig.contracts.errors import BadInput
 from lfrig.contracts.progress import Monitor
 from lfrig.processing.dpv_match import MatchTask, match_after_search, match_everywhere
 from lfrig.processing.dpv_settings import DEFAULT_DPV as DEFAULT_DPV
@@ -20,7 +19,6 @@ from lfrig.processing.matching_views import LIMIT_PX, MatchingViews, matching_vi
 from lfrig.processing.model import Evidence, LightField
 from lfrig.processing.plane_search import found_range
 from lfrig.processing.skipping import SKIP_ALL, Skips, Tally
-from lfrig.processing.tone import NO_TEXTURE_GREY
 
 
 def light_field_evidence(
@@ -58,7 +56,6 @@ def light_field_evidence(
     BadInput
         The views are constant: there is nothing to match.
     """
-    refuse_constant(light_field)
     grid = plane_grid(disparity_range, settings)
     if views is None or views.limit_px < grid.furthest:
         limit = max(LIMIT_PX, grid.furthest)
@@ -91,23 +88,8 @@ def auto_range(
     -------
     (lo, hi) [px per view step]
     """
-    refuse_constant(light_field)
     if views is None or views.limit_px < limit_px:
         views = matching_views(light_field, DEFAULT_DPV.clipped_blur_px, limit_px=limit_px, threads=threads)
     chosen = views.half.cross() if skips.views else views.half.others()
     found = found_range(views.half, limit_px, DEFAULT_DPV.truncation_grey, chosen=chosen, threads=threads)
     return found or (-limit_px / 4, limit_px / 4)
-
-
-def refuse_constant(light_field: LightField) -> None:
-    """Raise `BadInput` when no view has any structure (a lens cap, a uniform wall)."""
-    import cv2
-
-    if float(cv2.meanStdDev(light_field.centre_view)[1].max()) < NO_TEXTURE_GREY:
-        raise BadInput(
-            "the centre view is constant: nothing can be matched in it",
-            path=light_field.id,
-            field="views",
-            code="constant-image",
-            remedy="check the exposure and the lens cap, or leave this capture out",
-        )

@@ -6,9 +6,18 @@ Numerics: the relative pose is formed before anything is rounded to float32, so 
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from lfrig.processing.model import F32, F64, Camera, Pose
+
+
+def turn_deg(first: float | None, second: float | None) -> float:
+    """The turn between two plate angles, in 0..180 degrees; infinite when one is unknown."""
+    if first is None or second is None:
+        return math.inf
+    return abs((first - second + 180.0) % 360.0 - 180.0)
 
 
 def rotation_z(angle_rad: float) -> F64:

@@ -10,6 +10,7 @@ call either completes or leaves what was known before as it was, also after a ca
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -17,13 +18,13 @@ from dataclasses import dataclass
 from lfrig.contracts.errors import BadInput, GeometryRefused
 from lfrig.contracts.progress import Monitor, Notice
 from lfrig.contracts.result import StageReport
+from lfrig.processing.geometry import turn_deg
 from lfrig.processing.model import Evidence, Image, LightField, Photo, Pose, RigPrior, Source, SynthesizedLightField
 from lfrig.processing.options import ProcessOptions, check_options
-from lfrig.processing.pipeline import locate, synthesize, wanted_light_field
-from lfrig.processing.plate import crop_photo, crop_to_plate, paste_surface, photo_box, uncrop_camera
+from lfrig.processing.pipeline import find_geometry, synthesize
+from lfrig.processing.plate import crop_to_plate, photo_box
 from lfrig.processing.poses import PoseWork
-from lfrig.processing.prepare import find_evidence, metric_depth_range
-from lfrig.processing.reconstruct import Target, reconstruct
+from lfrig.processing.prepare import find_evidence
 from lfrig.processing.resolution import scale_light_field, scale_photo
 from lfrig.processing.reuse import size_bytes
 from lfrig.processing.stages import StageClock
@@ -114,7 +115,7 @@ class LiveFusion:
         """
         with self._lock:
             clock = StageClock(monitor or Monitor())
-            small = self._scaled(light_field)
+            small = scale_light_field(light_field, self.options.geometry_resolution)
             with clock.stage("evidence", 1) as note:
                 if self.options.knobs.skips.plate:
                     (small,) = crop_to_plate([small], self.prior, note.tally)
@@ -155,7 +156,7 @@ class LiveFusion:
         Returns and raises as `add_source`; after a refusal the target is the one of before.
         """
         with self._lock:
-            target = self._scaled_photo(photo)
+            target = scale_photo(photo, self.options.geometry_resolution)
             return self._commit(self._shots, target, StageClock(monitor or Monitor()))
 
     def show(self, image: Image, monitor: Monitor | None = None) -> LiveView:
@@ -201,19 +202,11 @@ class LiveFusion:
         options, light_fields = self.options, [shot.light_field for shot in shots.values()]
         evidence = [shot.evidence for shot in shots.values()]
         box = photo_box(target, self.prior) if options.knobs.skips.plate else None
-        shown = crop_photo(target, box)
-        solution, sources = locate(light_fields, shown, evidence, self.prior, options, clock, self._work)
-        camera, pose = solution.target_camera, solution.target_pose
-        request = wanted_light_field(options, sources, pose)
-        surface = reconstruct(
-            sources, Target(shown.image8, camera, pose), metric_depth_range(light_fields, self.prior, solution),
-            request, options.knobs, clock, threads=options.threads,
-        )  # fmt: skip
-        height, width = target.image.shape[:2]
-        camera, surface = uncrop_camera(camera, box, width, height), paste_surface(surface, box, width, height)
+        found = find_geometry(light_fields, target, evidence, self.prior, options, clock, box=box, work=self._work)
         image = target.image if options.bit_depth == 16 else target.image8
-        made = synthesize(image, surface, camera, request, options, clock)
-        return LiveView(made, pose, tuple(sources), tuple(clock.reports), tuple(clock.monitor.notices))
+        made = synthesize(image, found.surface, found.camera, found.request, options, clock)
+        pose, notices = found.solution.target_pose, tuple(clock.monitor.notices)
+        return LiveView(made, pose, tuple(found.sources), tuple(clock.reports), notices)
 
     def _bounded(self, shots: dict[str, _Shot], newest: str) -> dict[str, _Shot]:
         """At most `MOST_SOURCES`, those nearest to the target by turntable angle; the oldest go where none is known."""
@@ -222,17 +215,7 @@ class LiveFusion:
             shots.pop(max((name for name in shots if name != newest), key=lambda name: _turn(shots[name], angle)))
         return shots
 
-    def _scaled(self, light_field: LightField) -> LightField:
-        resolution = self.options.geometry_resolution
-        return light_field if resolution == 1.0 else scale_light_field(light_field, resolution)
-
-    def _scaled_photo(self, photo: Photo) -> Photo:
-        resolution = self.options.geometry_resolution
-        return photo if resolution == 1.0 else scale_photo(photo, resolution)
-
 
 def _turn(shot: _Shot, angle_deg: float | None) -> float:
-    own = shot.light_field.turntable_deg
-    if own is None or angle_deg is None:
-        return 0.0  # max() takes the first of equals: the oldest
-    return float(abs((own - angle_deg + 180.0) % 360.0 - 180.0))
+    turn = turn_deg(shot.light_field.turntable_deg, angle_deg)
+    return turn if math.isfinite(turn) else 0.0  # max() takes the first of equals: the oldest

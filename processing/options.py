@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
 import numpy as np
@@ -38,6 +38,14 @@ class Settings:
     skips: Skips = SKIP_ALL
 
 
+def without_wide_baseline(settings: Settings) -> Settings:
+    """The same settings without the wide-baseline refinement, and what rests on it."""
+    return replace(
+        settings, wide_baseline=replace(settings.wide_baseline, enabled=False),
+        continuation=replace(settings.continuation, enabled=False),
+    )  # fmt: skip
+
+
 @dataclass(frozen=True)
 class Preset:
     """One way through the pipeline: the fraction of full size at which geometry is computed, and all knobs."""
@@ -50,11 +58,7 @@ PRESETS: Mapping[str, Preset] = MappingProxyType(
     {
         "preview": Preset(
             0.5,
-            Settings(
-                fusion=FusionSettings(planes=64),
-                wide_baseline=WideBaselineSettings(enabled=False),
-                continuation=ContinuationSettings(enabled=False),
-            ),
+            without_wide_baseline(Settings(fusion=FusionSettings(planes=64))),
         ),
         "fast": Preset(1.0, Settings()),
     }

@@ -32,7 +32,7 @@ from lfrig.processing.model import (
     SynthesizedLightField,
 )
 from lfrig.processing.options import ProcessOptions, check_options
-from lfrig.processing.plate import crop_photo, crop_to_plate, paste_surface, photo_box, uncrop_camera
+from lfrig.processing.plate import Box, crop_photo, crop_to_plate, paste_surface, photo_box, uncrop_camera
 from lfrig.processing.poses import PoseSolution, PoseWork, solve_poses
 from lfrig.processing.prepare import find_evidence, fit_sources, metric_depth_range
 from lfrig.processing.reconstruct import Target, reconstruct
@@ -111,11 +111,7 @@ def process(
         monitor.warn("one-source", "only one source: what it does not see is guessed; shoot at least two")
     clock = StageClock(monitor)
     settings, threads, resolution = options.knobs, options.threads, options.geometry_resolution
-    working, photo = list(sources), target
-    if resolution != 1.0:
-        working = [scale_light_field(lf, resolution) for lf in sources]
-        photo = scale_photo(target, resolution)
-
+    working, photo = [scale_light_field(lf, resolution) for lf in sources], scale_photo(target, resolution)
     box = None
     with clock.stage("evidence", len(working)) as note:
         if evidence is None:
@@ -126,26 +122,18 @@ def process(
             )
             note.skipped(sum(1 - e.occlusion_tested for e in evidence) * 100 / len(evidence), "% half-aperture tests")
             note.done(sum(e.occlusion_tested for e in evidence) * 100 / len(evidence))
-    shown = crop_photo(photo, box)
-    solution, ready = locate(working, shown, evidence, prior, options, clock)
-    camera, pose = solution.target_camera, solution.target_pose
-    request = wanted_light_field(options, ready, pose)
-    surface = reconstruct(
-        ready, Target(shown.image8, camera, pose), metric_depth_range(working, prior, solution), request, settings,
-        clock, threads=threads,
-    )  # fmt: skip
-    height, width = photo.image.shape[:2]
-    camera, surface = uncrop_camera(camera, box, width, height), paste_surface(surface, box, width, height)
+    geometry = find_geometry(working, photo, evidence, prior, options, clock, box=box)
+    solution, camera, surface = geometry.solution, geometry.camera, geometry.surface
     if resolution != 1.0:
         height, width = target.image.shape[:2]
         camera, surface = camera.resized(width, height), scale_surface(surface, width, height)
     image = target.image if options.bit_depth == 16 else target.image8
-    made = synthesize(image, surface, camera, request, options, clock)
+    made = synthesize(image, surface, camera, geometry.request, options, clock)
     return ProcessResult(
-        light_field=made, target=target, target_camera=camera, target_pose=pose,
+        light_field=made, target=target, target_camera=camera, target_pose=solution.target_pose,
         sources=tuple(
             SourceResult(s, a, r)
-            for s, a, r in zip(ready, solution.anchors, solution.angle_residual_deg, strict=True)
+            for s, a, r in zip(geometry.sources, solution.anchors, solution.angle_residual_deg, strict=True)
         ),
         stages=tuple(clock.reports), notices=tuple(monitor.notices), poses_method=solution.method,
         metric=solution.metric, preset=options.preset,
@@ -155,24 +143,63 @@ def process(
     )  # fmt: skip
 
 
-def locate(
+@dataclass(frozen=True)
+class Geometry:
+    """Where everything stands, and the surface of the whole photo with the ``camera`` that sees it; the light field
+    that is asked for.
+    """
+
+    solution: PoseSolution
+    sources: list[Source]
+    request: LightFieldRequest
+    camera: Camera
+    surface: Surface
+
+
+def find_geometry(
     light_fields: Sequence[LightField],
     photo: Photo,
     evidence: Sequence[Evidence],
     prior: RigPrior,
     options: ProcessOptions,
     clock: StageClock,
+    *,
+    box: Box | None = None,
     work: PoseWork | None = None,
-) -> tuple[PoseSolution, list[Source]]:
-    """Where everything stands, and to what scale: the stages ``poses`` and ``scale-fit``.
+) -> Geometry:
+    """All stages between evidence and synthesis.
 
-    ``work`` remembers what earlier calls found out about the same captures.
+    ``box`` is the part of the photo that is looked at; ``work`` remembers what earlier calls found out about the same
+    captures.
 
     Raises
     ------
     GeometryRefused
-        Poses or scales that cannot be trusted.
+        Poses or scales that cannot be trusted, or no overlap.
     """
+    shown = crop_photo(photo, box)
+    solution, sources = _locate(light_fields, shown, evidence, prior, options, clock, work)
+    camera, pose = solution.target_camera, solution.target_pose
+    request = wanted_light_field(options, sources, pose)
+    surface = reconstruct(
+        sources, Target(shown.image8, camera, pose), metric_depth_range(light_fields, prior, solution), request,
+        options.knobs, clock, threads=options.threads,
+    )  # fmt: skip
+    height, width = photo.image.shape[:2]
+    camera, surface = uncrop_camera(camera, box, width, height), paste_surface(surface, box, width, height)
+    return Geometry(solution, sources, request, camera, surface)
+
+
+def _locate(
+    light_fields: Sequence[LightField],
+    photo: Photo,
+    evidence: Sequence[Evidence],
+    prior: RigPrior,
+    options: ProcessOptions,
+    clock: StageClock,
+    work: PoseWork | None,
+) -> tuple[PoseSolution, list[Source]]:
+    """Where everything stands, and to what scale: the stages ``poses`` and ``scale-fit``."""
     monitor = clock.monitor
     with clock.stage("poses", None) as note:
         warn_of_defocus(light_fields, monitor, work)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from lfrig.contracts.progress import Monitor
 from lfrig.processing.kernels.grey import GreyViews
 from lfrig.processing.kernels.plane_cost import COST_UNIT, TILE, PlaneGrid, plane_cost
-from lfrig.processing.kernels.sgm import aggregate
+from lfrig.processing.kernels.sgm import PATH_LIMIT, PATHS, aggregate
 from lfrig.processing.kernels.softmax import Summary, summarise
 from lfrig.processing.model import F32, U8
 from lfrig.processing.noise_floor import noise_of_cost
@@ -23,11 +23,6 @@ from lfrig.processing.noise_floor import noise_of_cost
 I16 = NDArray[np.int16]
 I32 = NDArray[np.int32]
 U16 = NDArray[np.uint16]
-
-PATHS = 8
-"""Of semi-global matching: its totals are sums over them."""
-MOST_COST = 8191
-"""What a cost and P2 may be together, for eight paths to fit 16 bits."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +71,7 @@ class Matching:
     ) -> U16:
         """Semi-global matching: the sum over `PATHS` paths, uint16 [H, W, D]."""
         unit = COST_UNIT * self.swell(noise)
-        most = MOST_COST - round(self.truncation_grey * COST_UNIT) - 1
+        most = PATH_LIMIT - round(self.truncation_grey * COST_UNIT) - 1
         large = min(self.p2_grey * unit, most)
         small = min(self.p1_grey * unit * step_px / self.step_px, large / 1.5)
         return aggregate(cost, picture, small, large, self.edge_grey, span=span, threads=threads)

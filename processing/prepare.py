@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from lfrig.contracts.progress import Monitor
-from lfrig.processing.dpv import auto_range, light_field_evidence, plane_grid, refuse_constant
+from lfrig.processing.dpv import auto_range, light_field_evidence, plane_grid
 from lfrig.processing.matching_views import LIMIT_PX, matching_views
 from lfrig.processing.model import Evidence, LightField, RigPrior, Source
 from lfrig.processing.options import Settings
@@ -54,7 +54,6 @@ def _compute(
     monitor: Monitor,
     tally: Tally,
 ) -> Evidence:
-    refuse_constant(light_field)
     knobs, skips = settings.dpv, settings.skips
     views = matching_views(light_field, knobs.clipped_blur_px, threads=threads)
     possible = expected or (-LIMIT_PX, LIMIT_PX)

@@ -8,7 +8,7 @@ import numpy as np
 
 from lfrig.contracts.progress import Monitor
 from lfrig.processing.fusion import FusedVolume
-from lfrig.processing.kernels.sgm import U16, finest_unit
+from lfrig.processing.kernels.sgm import PATHS, U16, finest_unit
 from lfrig.processing.kernels.surface import PeakMean, evidence_cost, mean_of_scores, sgm_surface
 from lfrig.processing.model import F32, U8
 
@@ -81,5 +81,5 @@ def _costs(volume: FusedVolume, settings: RegulariseSettings, threads: int) -> t
 def _semi_global(volume: FusedVolume, photo: U8, settings: RegulariseSettings, threads: int) -> tuple[F32, F32]:
     """Mean plane index and peak mass after semi-global matching, float32 [H, W] each."""
     cost, unit = _costs(volume, settings, threads)
-    mean = _peak_mean(settings, settings.sharpness / (8 * unit))
+    mean = _peak_mean(settings, settings.sharpness / (PATHS * unit))
     return sgm_surface(cost, photo, unit * settings.p1, unit * settings.p2, settings.edge_grey, mean, threads=threads)

@@ -10,7 +10,9 @@ from lfrig.processing.model import F32, Image, LightField, Photo, Surface
 
 
 def scale_light_field(light_field: LightField, factor: float) -> LightField:
-    """Every view resampled by area to ``factor`` of its size; disparities shrink with it."""
+    """Every view resampled by area to ``factor`` of its size; disparities shrink with it. 1 returns the same one."""
+    if factor == 1.0:
+        return light_field
     size = _size(light_field.width, light_field.height, factor)
     rows, cols = light_field.angular
     views = np.empty((rows, cols, size[1], size[0], 3), np.uint8)
@@ -22,7 +24,9 @@ def scale_light_field(light_field: LightField, factor: float) -> LightField:
 
 
 def scale_photo(photo: Photo, factor: float) -> Photo:
-    """The photo resampled by area to ``factor`` of its size."""
+    """The photo resampled by area to ``factor`` of its size. 1 returns the same one."""
+    if factor == 1.0:
+        return photo
     height, width = photo.image.shape[:2]
     size = _size(width, height, factor)
     camera = photo.camera.resized(*size) if photo.camera else None

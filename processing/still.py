@@ -14,6 +14,7 @@ from itertools import combinations
 import numpy as np
 
 from lfrig.contracts.progress import Monitor
+from lfrig.processing.geometry import turn_deg
 from lfrig.processing.model import F32, F64, U8, Camera, LightField
 from lfrig.processing.patch import correlation, patch_window
 from lfrig.processing.poses.work import PoseWork
@@ -91,7 +92,7 @@ def _share(a: _Prepared, b: _Prepared, zoom: float) -> float:
 def warn_of_still_background(sources: Sequence[LightField], monitor: Monitor, work: PoseWork | None = None) -> None:
     """Warn when a good part of what is seen does not turn with the plate; ``work`` remembers what was compared."""
     work = PoseWork() if work is None else work
-    pairs = [(a, b) for a, b in combinations(sources, 2) if _should_turn(a, b)]
+    pairs = [(a, b) for a, b in combinations(sources, 2) if turn_deg(a.turntable_deg, b.turntable_deg) >= MIN_TURN_DEG]
     shares = []
     for a, b in pairs:
         zoom = _focal(b.camera, b.width) / _focal(a.camera, a.width)
@@ -111,12 +112,6 @@ def warn_of_still_background(sources: Sequence[LightField], monitor: Monitor, wo
             f"captures {one} and {other}: {share:.0%} of the corners stand still while the plate turns; what does "
             "not turn with it misleads poses and depth: hang a plain backdrop, or move the camera closer",
         )
-
-
-def _should_turn(a: LightField, b: LightField) -> bool:
-    if a.turntable_deg is None or b.turntable_deg is None:
-        return True
-    return bool(abs((a.turntable_deg - b.turntable_deg + 180) % 360 - 180) >= MIN_TURN_DEG)
 
 
 def _middle(light_field: LightField) -> Point:

@@ -18,7 +18,7 @@ import numpy as np
 from lfrig.processing.geometry import projection
 from lfrig.processing.kernels.band_cost import LEAST_VISIBLE, UNIT, Patch, View, band_cost
 from lfrig.processing.kernels.band_peak import U16, band_peak
-from lfrig.processing.kernels.sgm import I16, PATH_LIMIT, aggregate
+from lfrig.processing.kernels.sgm import I16, PATHS, aggregate, finest_unit
 from lfrig.processing.model import F32, U8, Camera, Pose, Source
 from lfrig.processing.plane_fit import Planes
 from lfrig.processing.skipping import SKIP_ALL, Skips, Tally
@@ -52,12 +52,10 @@ class WideBaselineSettings:
     @property
     def unit(self) -> int:
         """A cost of 1 in fixed point, so that a path's costs fit (`kernels.sgm`)."""
-        return min(UNIT, int(PATH_LIMIT / (self.p2 + self.cap)))
+        return min(UNIT, finest_unit(self.cap, self.p1, self.p2))
 
 
 DEFAULT_WIDE_BASELINE = WideBaselineSettings()
-PATHS = 8
-"""That the aggregation adds up."""
 LUMA_NOISE = 0.45
 """Variance of luma from independent noise of variance 1 in R, G and B."""
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,6 +12,7 @@ from lfrig.contracts.errors import BadInput, UsageError
 from lfrig.contracts.files import atomic_folder, refuse_existing, refuse_replacing
 from lfrig.contracts.progress import Monitor, Notice
 from lfrig.contracts.result import ReportDocument
+from lfrig.processing.geometry import turn_deg
 from lfrig.processing.model import LightField, Photo, RigPrior
 from lfrig.processing.options import ProcessOptions, check_options
 from lfrig.processing.pipeline import process
@@ -212,13 +212,6 @@ def nearest_sources(captures: Mapping[str, CaptureDocument], target: str, light_
     angle = captures[target].turntable_deg
     nearest = sorted(order, key=lambda name: (turn_deg(captures[name].turntable_deg, angle), order.index(name)))
     return sorted(nearest[:DEFAULT_SOURCES], key=order.index)
-
-
-def turn_deg(first: float | None, second: float | None) -> float:
-    """The turn between two plate angles, in 0..180 degrees; infinite when one is unknown."""
-    if first is None or second is None:
-        return math.inf
-    return abs((first - second + 180.0) % 360.0 - 180.0)
 
 
 def load_inputs(store: SessionStore, selection: Selection, options: ProcessOptions, monitor: Monitor) -> Inputs:

@@ -15,9 +15,6 @@ from lfrig.contracts.native import load_native
 from lfrig.processing.model import F32, F64, U8
 from lfrig.processing.patch import slopes
 
-CHANNELS = 4
-"""Of a picture that patches are sampled from: grey, its slopes in x and y, and one that fills a vector."""
-
 SLANT_RIDGE = 0.01
 SETTLED_PX = 0.002
 """A pass that moves a point by less is its last of that kind; a slant that changes by less moves no pixel of a patch by

@@ -23,8 +23,10 @@ Mask = NDArray[np.bool_]
 
 SPAN_TILE = 8
 """Pixels; one range of active labels for each tile of so many by so many."""
-PATH_LIMIT = 8191
-"""What the cost of one path may reach in fixed point: eight of them fit 16 bits."""
+PATHS = 8
+"""The result is a sum over so many."""
+PATH_LIMIT = 65535 // PATHS
+"""What the cost of one path may reach in fixed point: all of them together fit 16 bits."""
 WALL = 32767
 """The cost of a label that no path comes from, in the NumPy twin."""
 INACTIVE = 65535

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from lfrig.processing.geometry import turn_deg
 from lfrig.rig.compare import map_difference
-from lfrig.rig.process import turn_deg
 
 angles = st.floats(-1000, 1000, allow_nan=False)
 

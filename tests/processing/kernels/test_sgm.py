@@ -156,18 +156,6 @@ def test_shifts_of_nothing_change_nothing() -> None:
     assert np.array_equal(same, plain)
 
 
-def test_it_smooths_a_lone_outlier_but_keeps_a_step() -> None:
-    cost = np.full((15, 20, 8), 5.0, np.float32)
-    cost[:, :10, 2] = cost[:, 10:, 6] = 0
-    cost[7, 4] = 5.0
-    cost[7, 4, 7] = 4.0
-    guide = np.zeros((15, 20, 3), np.uint8)
-    guide[:, 10:] = 200
-    best = sgm.aggregate((100 * cost).astype(np.uint16), guide, 50, 600, 10.0).argmin(2)
-    assert best[7, 4] == 2
-    assert (best[:, :10] == 2).all() and (best[:, 10:] == 6).all()
-
-
 def test_shifts_make_a_ramp_as_cheap_as_a_plane() -> None:
     height, width, planes = 12, 20, 9
     guide = np.zeros((height, width, 3), np.uint8)
