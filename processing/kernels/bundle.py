@@ -161,8 +161,17 @@ def _arguments(views: F64, points: F64, seen: Sightings) -> tuple[np.ndarray, ..
     )  # fmt: skip
 
 
+def _check(views: F64, count: int, seen: Sightings) -> None:
+    for index, total in ((seen.view, len(views)), (seen.point, count)):
+        if ((index < 0) | (index >= total)).any():
+            raise ValueError("bundle: index out of range")
+    if (np.diff(seen.point) < 0).any():
+        raise ValueError("bundle: not sorted by point")
+
+
 def triangulate_numpy(views: F64, seen: Sightings, count: int, passes: int) -> F64:
     """NumPy twin of `triangulate`."""
+    _check(views, count, seen)
     points = np.zeros((count, 3))
     v = views[seen.view]
     rotation, shift, focal = v[:, :9].reshape(-1, 3, 3), v[:, 9:12], v[:, 12]
@@ -186,6 +195,7 @@ def triangulate_numpy(views: F64, seen: Sightings, count: int, passes: int) -> F
 
 def robust_cost_numpy(views: F64, points: F64, seen: Sightings) -> float:
     """NumPy twin of `robust_cost`."""
+    _check(views, len(points), seen)
     squared = _squared(linearise(views, points, seen).residual)
     return float((CAUCHY**2 * np.log1p(squared / CAUCHY**2)).sum())
 
@@ -243,6 +253,7 @@ def _weighted(views: F64, points: F64, seen: Sightings) -> tuple[F64, F64, F64, 
     """Derivatives by the view's local parameters [M, 3, 9] and by the point in the world [M, 3, 3]; weights [M, 3] and
     residuals [M, 3].
     """
+    _check(views, len(points), seen)
     linear = linearise(views, points, seen)
     rotation = views[seen.view, :9].reshape(-1, 3, 3)
     local = _local(views[seen.view], points[seen.point])

@@ -247,6 +247,7 @@ def _centred(values: F32, weight: F32) -> F32:
 
 def _standard(values: F32, weight: F32) -> tuple[F32, F32]:
     """Patches without mean and of unit contrast; and the contrast [N, 1]."""
-    values = _centred(values, weight)
-    contrast = np.sqrt((values * values * weight).sum(1, keepdims=True)) + np.float32(1e-3)
-    return np.asarray(values / contrast, np.float32), np.asarray(contrast, np.float32)
+    with np.errstate(over="ignore", invalid="ignore"):  # pictures may hold anything: what is lost is no match
+        values = _centred(values, weight)
+        contrast = np.sqrt((values * values * weight).sum(1, keepdims=True)) + np.float32(1e-3)
+        return np.asarray(values / contrast, np.float32), np.asarray(contrast, np.float32)

@@ -60,6 +60,9 @@ def perceptron_numpy(
     features: Sequence[F32] | F32, mean: F32, spread: F32, layers: Sequence[Layer], limit: float, leak: float
 ) -> F32:
     """NumPy twin."""
+    widths = [len(mean), *(len(layer.weight) for layer in layers)]
+    if widths[-1] != 1 or any(layer.weight.shape[1] != n for layer, n in zip(layers, widths, strict=False)):
+        raise ValueError("perceptron: layers do not fit")
     out = np.empty(len(features[0]), np.float32)
     # Blocks of one size keep memory low and the order of the sums the same on any machine's thread count.
     for start in range(0, len(out), BLOCK):

@@ -99,6 +99,8 @@ def spread_numpy(
 ) -> I32:
     """NumPy twin."""
     height, width = domain.shape
+    if ((seeds.x < 0) | (seeds.x >= width) | (seeds.y < 0) | (seeds.y >= height)).any():
+        raise ValueError("spread: a seed lies outside the map")
     colour = guide.astype(np.int64)
     found = np.full(domain.shape, -1, np.int32)
     length = np.full(domain.shape, np.iinfo(np.int32).max, np.int64)

@@ -273,15 +273,19 @@ def refuse_photo(count: int, name: str) -> None:
         )
 
 
-def check_angles(turns_deg: F64, recorded_deg: F64, sigma_deg: float, names: Sequence[str], monitor: Monitor) -> None:
-    """Warn of single angles that the images contradict; refuse when most of them are wrong."""
+def check_angles(structure: Structure, names: Sequence[str], sigma_deg: float, monitor: Monitor) -> None:
+    """Warn of single angles of the first views (``names``) that the images contradict; refuse when most are wrong."""
+    arrangement = structure.arrangement
+    turns_deg = np.rad2deg(structure.parameters[arrangement.turns])[: len(names)]
+    recorded_deg = np.array([view.angle_deg for view in arrangement.views[: len(names)]])
     wrong = np.abs(turns_deg) > ANGLE_SIGMAS * sigma_deg
     if len(names) > 2 and wrong.sum() > len(names) / 2:
         spread = recorded_deg - recorded_deg.mean()
+        listed = ", ".join(f"capture {names[v]} by {turns_deg[v]:+.1f}°" for v in np.flatnonzero(wrong).tolist())
         factor = 1 + float((spread * turns_deg).sum() / max((spread**2).sum(), 1e-9))
         raise GeometryRefused(
-            f"the images contradict {int(wrong.sum())} of {len(names)} turntable angles "
-            f"(they turned {factor:.2f} times as far as recorded)",
+            f"the images contradict {int(wrong.sum())} of {len(names)} turntable angles ({listed}; "
+            f"they turned {factor:.2f} times as far as recorded)",
             code="turntable-angles",
             remedy="check the turntable's steps per degree, its direction and the order of the captures",
         )

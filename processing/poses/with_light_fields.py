@@ -84,7 +84,8 @@ def _better(task: Task, lines: Sequence[Line | None], solved: Solved, monitor: M
 
 
 def _from_motion(task: Task, lines: Sequence[Line | None], monitor: Monitor) -> tuple[str, Solved]:
-    """Structure from motion and the second pass on it."""
+    """Structure from motion and the second pass on it, which has the last word on angles where it succeeds."""
+    held = Muted(monitor)
     first = solve_with_prior(
         "colmap-turntable",
         task.sources,
@@ -92,9 +93,13 @@ def _from_motion(task: Task, lines: Sequence[Line | None], monitor: Monitor) -> 
         task.features(range(len(task.sources))),
         task.target,
         task.prior,
-        monitor,
+        held,
     )
-    return _polished(task, lines, first, monitor)
+    kind, solved = _polished(task, lines, first, held)
+    if kind == "lf":
+        gate.check_angles(solved.structure, task.names, task.prior.turntable_sigma_deg, monitor)
+    held.release(lambda notice: kind != "lf" or notice.code != "angle-corrected")
+    return kind, solved
 
 
 def _by_light_fields(task: Task, arrangement: Arrangement, monitor: Monitor) -> Solved | None:
@@ -188,7 +193,7 @@ def _polished(task: Task, lines: Sequence[Line | None], first: Structure, monito
     rough = replace(first, arrangement=with_lines(first.arrangement, priors), parameters=x)
     aligned = second_pass(task.looks, rough, task.depth_range_m, task.effort)
     solved, followed = aligned.structure, aligned.followed
-    # Angles and focal lengths have been judged, and warned of, already.
+    # Angles and focal lengths are judged for themselves.
     doubted = gate.doubts(solved, followed.fractions(), None)
     if doubted:
         refuse_untied(confirmation(first, task.sources, task.evidence, task.target, guide), task.names, task.target.id)

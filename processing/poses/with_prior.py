@@ -200,8 +200,7 @@ def _check_turntable(
             gate.refuse_direction()
     gate.refuse_lonely_views(agreement, names)
     gate.warn_of_doubtful_poses(agreement, names, monitor)
-    turns = np.rad2deg(final.parameters[final.arrangement.turns])[:count]
-    gate.check_angles(turns, np.array([v.angle_deg for v in views]), sigma_deg, names, monitor)
+    gate.check_angles(final, names, sigma_deg, monitor)
 
 
 def _report_photo_angle(final: Structure, target: Photo, monitor: Monitor) -> None:

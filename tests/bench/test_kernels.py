@@ -199,6 +199,7 @@ def test_the_longer_of_two_times_is_the_limit() -> None:
 
 @needs_native
 def test_limits_are_measured(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("LFRIG_NATIVE", "1")
     monkeypatch.setattr("lfrig.bench.kernels_limits.TRIAD_FLOATS", 1 << 20)
     monkeypatch.setattr("lfrig.bench.kernels_limits.TRIAD_BYTES", 12 << 20)
     found = measure_limits(2).row()

@@ -118,7 +118,8 @@ def test_plane_cost_of_halves_of_the_aperture(monkeypatch: pytest.MonkeyPatch) -
     assert np.array_equal(sweep(out=plain, threads=3), native)
 
 
-def test_plane_cost_where_it_is_wanted() -> None:
+def test_plane_cost_where_it_is_wanted(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("LFRIG_NATIVE", "1")
     views = random_views((50, 150))
     grid = PlaneGrid(-0.5, 0.05, 40)
     span = random_span((50, 150), 40)

@@ -86,7 +86,9 @@ def test_points_that_nobody_sees_stay(monkeypatch: pytest.MonkeyPatch) -> None:
         assert (bundle.triangulate(table, seen, 20)[5] == 0).all()
 
 
-def test_sightings_must_be_in_order_and_in_range() -> None:
+@pytest.mark.parametrize("native", "01")
+def test_sightings_must_be_in_order_and_in_range(monkeypatch: pytest.MonkeyPatch, native: str) -> None:
+    monkeypatch.setenv("LFRIG_NATIVE", native)
     rng = np.random.default_rng(4)
     table, points = views(2, rng), np.zeros((3, 3))
     seen = bundle.Sightings(np.int32([1, 0]), np.int32([0, 1]), np.zeros((2, 3)), np.ones((2, 2)))
@@ -160,7 +162,11 @@ def test_alignment(monkeypatch: pytest.MonkeyPatch, half: int, n: int, threads: 
     np.testing.assert_allclose(native[1][told], twin[1][told], atol=2e-3)
 
 
-def test_alignment_is_the_same_for_any_thread_count_and_survives_nonsense() -> None:
+@pytest.mark.parametrize("native", "01")
+def test_alignment_is_the_same_for_any_thread_count_and_survives_nonsense(
+    monkeypatch: pytest.MonkeyPatch, native: str
+) -> None:
+    monkeypatch.setenv("LFRIG_NATIVE", native)
     rng = np.random.default_rng(5)
     first, second = (patches.with_slopes(picture((40, 50), seed)) for seed in (1, 2))
     second[7, 9] = np.nan

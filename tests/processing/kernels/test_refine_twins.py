@@ -127,9 +127,10 @@ def test_a_plane_stops_where_it_would_float() -> None:
     assert found[0].tolist() == [0] * 6 + [-1] * 4
 
 
-def test_seeds_beside_the_map_are_refused() -> None:
-    if find_spec("lfrig.processing.kernels._native") is None:
-        pytest.skip("no native core here")
+@native_only
+@pytest.mark.parametrize("native", "01")
+def test_seeds_beside_the_map_are_refused(monkeypatch, native) -> None:
+    monkeypatch.setenv("LFRIG_NATIVE", native)
     one = np.ones(1, np.float32)
     with pytest.raises(ValueError, match="outside"):
         spread(
@@ -233,9 +234,10 @@ def test_perceptron(monkeypatch, count, units) -> None:
     same_for_all_threads(monkeypatch, native, call)
 
 
-def test_a_perceptron_needs_layers_that_fit() -> None:
-    if find_spec("lfrig.processing.kernels._native") is None:
-        pytest.skip("no native core here")
+@native_only
+@pytest.mark.parametrize("native", "01")
+def test_a_perceptron_needs_layers_that_fit(monkeypatch, native) -> None:
+    monkeypatch.setenv("LFRIG_NATIVE", native)
     one, two = np.ones((1, 2), np.float32), np.ones((2, 2), np.float32)
     with pytest.raises(ValueError, match="fit"):
         perceptron([one[0]], one[0, :1], one[0, :1], [Layer(two, two[0])], limit=4.0, leak=0.05)
