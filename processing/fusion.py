@@ -30,7 +30,7 @@ from lfrig.processing.kernels.fusion import (
 from lfrig.processing.kernels.occupancy import occupancy
 from lfrig.processing.model import F32, U8, Camera, Pose, Source
 from lfrig.processing.skipping import SKIP_ALL, Skips, Tally
-from lfrig.processing.sources import usual_noise, usual_slope
+from lfrig.processing.sources import usual_noise, usual_slope, usual_step
 from lfrig.processing.tone import fit_tone, marked
 from lfrig.processing.visibility import carry
 
@@ -40,6 +40,12 @@ class FusionSettings:
     """Knobs of the fusion; chosen on the tuning scenes."""
 
     planes: int = 128
+    """At most."""
+    plane_share: float = 0.65
+    """Distance of two planes, as a share of that of the sources' own: finer ones tell nothing new (switch
+    ``planes``)."""
+    min_planes: int = 48
+    """Which that may leave, where so many were asked for."""
     mapping: str = "exact"
     """``exact`` or ``literal`` (the paper as printed)."""
     pool: str = "log"
@@ -49,7 +55,7 @@ class FusionSettings:
     floor_share: float = 0.05
     margin_px: float = 0.06
     """Slack of the visibility test [px per view step of the source]."""
-    surface_gap_px: float = 0.08
+    surface_gap_px: float = 0.1
     """Planes this much nearer [px per view step of the sources] are another surface, not the flank of this one."""
     surface_tau: float = 2.0
     surface_beta: float = 4.0
@@ -99,6 +105,8 @@ class FusedVolume:
     voxels: int
     cap: float = np.inf
     """What costs are capped at [log evidence]."""
+    plane_px: float | None = None
+    """Distance of two planes [px per view step of the sources]; None = not known."""
 
     @classmethod
     def of_evidence(cls, evidence: F32, planes: tuple[float, float], unit: float = 1 / 1024) -> FusedVolume:
@@ -141,12 +149,15 @@ def fuse(
         ``no-overlap``: no source sees what the target sees.
     """
     w0, w1 = inverse_depth_range
-    dw = (w1 - w0) / (settings.planes - 1)
-    shape = (camera.height, camera.width, settings.planes)
+    planes = _plane_count(sources, w1 - w0, settings) if skips.planes else settings.planes
+    if tally is not None:
+        tally.add("planes", planes, settings.planes - planes, "planes")
+    dw = (w1 - w0) / (planes - 1)
+    shape = (camera.height, camera.width, planes)
     log_pool = settings.pool == "log"
     margin = settings.margin_px if settings.visibility else None
     pool = Pool(log_pool, settings.mapping == "literal", settings.floor_share, margin)
-    level = int(65535 * settings.level_share * settings.floor_share / settings.planes)
+    level = int(65535 * settings.level_share * settings.floor_share / planes)
     ready = []
     for source in sources:
         tables = occupancy(source.evidence.probability, source.evidence.disparity, level, threads=threads)
@@ -161,7 +172,7 @@ def fuse(
         ready = _with_colours(ready, sources, with_mask, rough, (camera, pose), settings)
         colour = _colour_term(sources, dw, settings)
     rule = SurfaceRule(
-        _gap_planes(sources, dw, settings), settings.surface_tau, settings.surface_beta, settings.surface_cap
+        _gap_planes(sources, dw, planes, settings), settings.surface_tau, settings.surface_beta, settings.surface_cap
     )
     start = time.process_time()
     fused = fuse_volume(
@@ -182,8 +193,9 @@ def fuse(
             remedy="choose sources nearer to the target's direction, or check the poses",
         )
     return FusedVolume(
-        fused.cost, fused.best, settings.cost_unit, (w0, dw), fused.inside, voxels * len(sources), settings.cost_cap
-    )
+        fused.cost, fused.best, settings.cost_unit, (w0, dw), fused.inside, voxels * len(sources), settings.cost_cap,
+        _plane_px(sources, dw),
+    )  # fmt: skip
 
 
 TONE_STRIDE = 8
@@ -235,9 +247,15 @@ def _colour_term(sources: Sequence[Source], dw: float, settings: FusionSettings)
     )
 
 
-def _gap_planes(sources: Sequence[Source], dw: float, settings: FusionSettings) -> int:
+def _plane_count(sources: Sequence[Source], length: float, settings: FusionSettings) -> int:
+    """Planes that a range of inverse depths [1/m] needs to be as fine as the sources' own planes."""
+    step = settings.plane_share * usual_slope(sources) * usual_step(sources)
+    return min(settings.planes, max(settings.min_planes, int(np.ceil(length / step)) + 1))
+
+
+def _gap_planes(sources: Sequence[Source], dw: float, planes: int, settings: FusionSettings) -> int:
     """``surface_gap_px`` in planes: the width of a peak is a matter of the sources' pixels, whatever the planes are."""
-    return max(1, min(round(settings.surface_gap_px / _plane_px(sources, dw)), settings.planes - 1))
+    return max(1, min(round(settings.surface_gap_px / _plane_px(sources, dw)), planes - 1))
 
 
 def _plane_px(sources: Sequence[Source], dw: float) -> float:

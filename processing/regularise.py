@@ -23,7 +23,9 @@ class RegulariseSettings:
     """``window`` (±window planes around the peak) or ``soft-argmax`` (all planes, as printed in the paper)."""
     window: int = 3
     cap: float = 20.0
-    p1: float = 4.0
+    p1: float = 4.2
+    step_px: float = 0.01
+    """``p1`` is for a change of so much [px per view step of the sources]: a slope costs the same on any planes."""
     p2: float = 50.0
     edge_grey: float = 30.0
     sharpness: float = 2.0
@@ -68,11 +70,11 @@ def _peak_mean(settings: RegulariseSettings, sharpness: float) -> PeakMean:
     return PeakMean(sharpness, settings.window, settings.regression == "soft-argmax")
 
 
-def _costs(volume: FusedVolume, settings: RegulariseSettings, threads: int) -> tuple[U16, float]:
+def _costs(volume: FusedVolume, p1: float, settings: RegulariseSettings, threads: int) -> tuple[U16, float]:
     """Costs uint16 [H, W, N] and their steps per unit of log evidence: the volume's own where these fit, else the
     finest that do.
     """
-    finest = finest_unit(settings.cap, settings.p1, settings.p2)
+    finest = finest_unit(settings.cap, p1, settings.p2)
     if volume.cap <= settings.cap and volume.unit * finest >= 1 - 1e-6:
         return volume.cost, 1 / volume.unit
     return evidence_cost(volume.evidence, finest, settings.cap, threads=threads), finest
@@ -80,6 +82,8 @@ def _costs(volume: FusedVolume, settings: RegulariseSettings, threads: int) -> t
 
 def _semi_global(volume: FusedVolume, photo: U8, settings: RegulariseSettings, threads: int) -> tuple[F32, F32]:
     """Mean plane index and peak mass after semi-global matching, float32 [H, W] each."""
-    cost, unit = _costs(volume, settings, threads)
+    p1 = settings.p1 if volume.plane_px is None else settings.p1 * volume.plane_px / settings.step_px
+    p1 = min(p1, settings.p2 / 1.5)
+    cost, unit = _costs(volume, p1, settings, threads)
     mean = _peak_mean(settings, settings.sharpness / (PATHS * unit))
-    return sgm_surface(cost, photo, unit * settings.p1, unit * settings.p2, settings.edge_grey, mean, threads=threads)
+    return sgm_surface(cost, photo, unit * p1, unit * settings.p2, settings.edge_grey, mean, threads=threads)

@@ -17,3 +17,8 @@ def usual_noise(sources: Sequence[Source]) -> float:
 def usual_slope(sources: Sequence[Source]) -> float:
     """Median of 1/m per px per view step: one of their px in inverse depth."""
     return float(np.median([abs(source.scale.a) for source in sources]))
+
+
+def usual_step(sources: Sequence[Source]) -> float:
+    """Median distance of the planes of their evidence [px per view step]."""
+    return float(np.median([source.evidence.planes_px[1] for source in sources]))

@@ -31,7 +31,7 @@ class WideBaselineSettings:
     """Knobs; chosen on the tuning scenes."""
 
     enabled: bool = True
-    labels: int = 32
+    labels: int = 16
     step_px: float = 1.0
     """Between labels, in pixels of the source that moves most."""
     radius: int = 4
