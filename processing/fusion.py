@@ -199,6 +199,8 @@ def fuse(
     )  # fmt: skip
 
 
+PLANES_AT_ONCE = 16
+"""Fits the vectors of the kernels: 82 planes cost more than 96."""
 TONE_STRIDE = 8
 """The colours' tone is fitted on every this many pixels."""
 
@@ -251,7 +253,8 @@ def _colour_term(sources: Sequence[Source], dw: float, settings: FusionSettings)
 def _plane_count(sources: Sequence[Source], length: float, settings: FusionSettings) -> int:
     """Planes that a range of inverse depths [1/m] needs to be as fine as the sources' own planes."""
     step = settings.plane_share * usual_slope(sources) * usual_step(sources)
-    return min(settings.planes, max(settings.min_planes, int(np.ceil(length / step)) + 1))
+    wanted = PLANES_AT_ONCE * round((length / step + 1) / PLANES_AT_ONCE)
+    return min(settings.planes, max(settings.min_planes, wanted))
 
 
 def _gap_planes(sources: Sequence[Source], dw: float, planes: int, settings: FusionSettings) -> int:
