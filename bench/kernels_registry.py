@@ -114,7 +114,7 @@ def _sweep_arguments(call: Call) -> tuple[tuple[Any, ...], dict[str, Any]]:
 def _band_operations(call: Call, outputs: list[Array]) -> float:
     # Per view and tap: the map into the source (10), bilinear (11), three weighted sums (6).
     views, patch = call.args[2], call.args[6]
-    taps = len(range(-patch.radius, patch.radius + 1, patch.stride)) ** 2
+    taps = len(patch.taps)
     return float(27 * taps * len(views) * outputs[0].size)
 
 

@@ -21,8 +21,8 @@ using nb::ndarray;
 
 namespace {
 
-constexpr int kMaxLabels = 128, kMaxTaps = 441;
-constexpr int kGroup = 5;  // taps that are summed together
+constexpr int kMaxLabels = 128, kMaxSide = 21;  // places of the taps' grid along one side
+constexpr int kGroup = 7;  // taps that are summed together
 constexpr int kTile = 2 * kRun, kTileLines = 64;
 
 struct View {
@@ -91,22 +91,34 @@ LFRIG_CLONES void correlate(const float *rows, const int32_t *offset, const floa
     alignas(64) float first[kMaxLabels], second[kMaxLabels], cross[kMaxLabels];
     for (int k = 0; k < m.labels; ++k) first[k] = second[k] = cross[k] = 0.0f;
     for (int g = 0; g < m.groups; ++g, offset += kGroup) {
-        static_assert(kGroup == 5, "the taps of a group are written out");
+        static_assert(kGroup == 7, "the taps of a group are written out");
         const float *w = weight + g * kGroup * kRun, *p = product + g * kGroup * kRun, *f = fraction + g * kGroup * kRun;
-        const float *r0 = rows + offset[0], *r1 = rows + offset[1], *r2 = rows + offset[2], *r3 = rows + offset[3];
+        const float *r0 = rows + offset[0];
+        const float w0 = w[0 * kRun], p0 = p[0 * kRun], f0 = f[0 * kRun];
+        const float *r1 = rows + offset[1];
+        const float w1 = w[1 * kRun], p1 = p[1 * kRun], f1 = f[1 * kRun];
+        const float *r2 = rows + offset[2];
+        const float w2 = w[2 * kRun], p2 = p[2 * kRun], f2 = f[2 * kRun];
+        const float *r3 = rows + offset[3];
+        const float w3 = w[3 * kRun], p3 = p[3 * kRun], f3 = f[3 * kRun];
         const float *r4 = rows + offset[4];
-        const float f0 = f[0], f1 = f[kRun], f2 = f[2 * kRun], f3 = f[3 * kRun], f4 = f[4 * kRun];
-        const float w0 = w[0], w1 = w[kRun], w2 = w[2 * kRun], w3 = w[3 * kRun], w4 = w[4 * kRun];
-        const float p0 = p[0], p1 = p[kRun], p2 = p[2 * kRun], p3 = p[3 * kRun], p4 = p[4 * kRun];
+        const float w4 = w[4 * kRun], p4 = p[4 * kRun], f4 = f[4 * kRun];
+        const float *r5 = rows + offset[5];
+        const float w5 = w[5 * kRun], p5 = p[5 * kRun], f5 = f[5 * kRun];
+        const float *r6 = rows + offset[6];
+        const float w6 = w[6 * kRun], p6 = p[6 * kRun], f6 = f[6 * kRun];
 #pragma GCC ivdep
         for (int k = 0; k < m.labels; ++k) {
-            const float a = r0[k] + f0 * (r0[k + 1] - r0[k]), b = r1[k] + f1 * (r1[k + 1] - r1[k]);
-            const float c = r2[k] + f2 * (r2[k + 1] - r2[k]), d = r3[k] + f3 * (r3[k + 1] - r3[k]);
-            const float e = r4[k] + f4 * (r4[k + 1] - r4[k]);
-            const float wa = w0 * a, wb = w1 * b, wc = w2 * c, wd = w3 * d, we = w4 * e;
-            first[k] += (((wa + wb) + wc) + wd) + we;
-            second[k] += (((wa * a + wb * b) + wc * c) + wd * d) + we * e;
-            cross[k] += (((p0 * a + p1 * b) + p2 * c) + p3 * d) + p4 * e;
+            const float a = r0[k] + f0 * (r0[k + 1] - r0[k]), wa = w0 * a;
+            const float b = r1[k] + f1 * (r1[k + 1] - r1[k]), wb = w1 * b;
+            const float c = r2[k] + f2 * (r2[k + 1] - r2[k]), wc = w2 * c;
+            const float d = r3[k] + f3 * (r3[k + 1] - r3[k]), wd = w3 * d;
+            const float e = r4[k] + f4 * (r4[k + 1] - r4[k]), we = w4 * e;
+            const float h = r5[k] + f5 * (r5[k + 1] - r5[k]), wh = w5 * h;
+            const float o = r6[k] + f6 * (r6[k + 1] - r6[k]), wo = w6 * o;
+            first[k] += (((((wa + wb) + wc) + wd) + we) + wh) + wo;
+            second[k] += (((((wa * a + wb * b) + wc * c) + wd * d) + we * e) + wh * h) + wo * o;
+            cross[k] += (((((p0 * a + p1 * b) + p2 * c) + p3 * d) + p4 * e) + p5 * h) + p6 * o;
         }
     }
     const float inverse = 1.0f / m.mass;
@@ -147,15 +159,15 @@ void match_run(const Band &s, const std::vector<View> &views, int y, int x, int 
     const Patches &t = w.patches;
     const int32_t own = w.line(s, y);
     std::fill(w.place.begin(), w.place.end(), own);
-    size_t n = 0;
-    for (int dy = -s.radius; dy <= s.radius; dy += s.stride)
-        for (int dx = -s.radius; dx <= s.radius; dx += s.stride, ++n)
-            // Lines beyond the frame are not in the ring; their weight is 0.
-            if (y + dy >= 0 && y + dy < s.height) w.place[n] = w.line(s, y + dy) + dx * s.slots;
+    for (size_t n = 0; n < s.taps.size(); ++n) {
+        const Tap tap = s.taps[n];
+        // Lines beyond the frame are not in the ring; their weight is 0.
+        if (y + tap.dy >= 0 && y + tap.dy < s.height) w.place[n] = w.line(s, y + tap.dy) + tap.dx * s.slots;
+    }
     Match m{taps / kGroup, s.labels, 0, 0, 0, s.cap, 0, 0, 0, {}, {}};
     for (int i = 0; i < width; ++i) {
         const size_t p = size_t(y) * s.width + x + i;
-        for (n = 0; n < size_t(taps); ++n)
+        for (size_t n = 0; n < size_t(taps); ++n)
             w.offset[n] = (t.weight[n * kRun + i] > 0.0f ? w.place[n] : own) + t.slot[n * kRun + i];
         for (size_t source = 0; source < views.size(); ++source) {
             const View &v = views[source];
@@ -268,12 +280,12 @@ void band_cost(F2 photo, U3 guide, const std::vector<F2> &images, const std::vec
                O3 out, int threads) {
     Band s{};
     s.height = int(photo.shape(0)), s.width = int(photo.shape(1)), s.labels = int(out.shape(2));
-    s.reach = reach, s.slots = s.labels + 2 * reach, s.radius = radius, s.stride = stride;
+    s.reach = reach, s.slots = s.labels + 2 * reach, s.radius = radius;
     s.depth = depth.data(), s.slope_x = slope_x.data(), s.slope_y = slope_y.data();
     s.step = step, s.sigma_grey = sigma_grey, s.cap = cap, s.least = least, s.unit = unit;
     const auto same = [&](const F2 &m) { return int(m.shape(0)) == s.height && int(m.shape(1)) == s.width; };
     const int side = stride > 0 ? 2 * radius / stride + 1 : 0;
-    if (s.labels < 1 || s.labels > kMaxLabels || side < 1 || side * side > kMaxTaps || radius < 1 || reach < 1)
+    if (s.labels < 1 || s.labels > kMaxLabels || side < 1 || side > kMaxSide || radius < 1 || reach < 1)
         throw std::invalid_argument("band_cost: too many labels or taps");
     if (!same(depth) || !same(slope_x) || !same(slope_y) || int(guide.shape(0)) != s.height ||
         int(guide.shape(1)) != s.width || guide.shape(2) != 3 || int(out.shape(0)) != s.height ||
@@ -286,7 +298,8 @@ void band_cost(F2 photo, U3 guide, const std::vector<F2> &images, const std::vec
     const float *grey = photo.data();
     const uint8_t *colours = guide.data();
     uint16_t *cost = out.data();
-    const int taps = (side * side + kGroup - 1) / kGroup * kGroup;
+    s.taps = chessboard(radius, stride);
+    const int taps = (int(s.taps.size()) + kGroup - 1) / kGroup * kGroup;
     const int across = (s.width + kTile - 1) / kTile, down = (s.height + kTileLines - 1) / kTileLines;
     std::vector<View> views(images.size());
     nb::gil_scoped_release release;

@@ -43,6 +43,12 @@ class Patch:
     sigma_grey: float = 40.0
     cap: float = 1.0
 
+    @property
+    def taps(self) -> list[tuple[int, int]]:
+        """Offsets (dx, dy) [px] that are compared: every other place of the grid, like one colour of a chessboard."""
+        places = range(-self.radius, self.radius + 1, self.stride)
+        return [(dx, dy) for i, dy in enumerate(places) for j, dx in enumerate(places) if (i + j) % 2 == 0]
+
 
 @dataclass(frozen=True)
 class View:
@@ -165,18 +171,17 @@ def _taps(photo: F32, guide: U8, surface: tuple[F32, F32, F32], step: np.float32
     ys, xs = np.mgrid[0:height, 0:width]
     w, gx, gy = surface
     found = []
-    for dy in range(-patch.radius, patch.radius + 1, patch.stride):
-        for dx in range(-patch.radius, patch.radius + 1, patch.stride):
-            y, x = np.clip(ys + dy, 0, height - 1), np.clip(xs + dx, 0, width - 1)
-            with np.errstate(over="ignore", invalid="ignore"):
-                at = (w + gx * np.float32(dx) + gy * np.float32(dy) - w[y, x]) / step + np.float32(REACH)
-                counts = (ys + dy == y) & (xs + dx == x) & (at >= 0) & (at < 2 * REACH)
-            at = np.where(counts, at, np.float32(0))
-            off = np.abs(colour[y, x] - colour).sum(2) / np.float32(patch.sigma_grey)
-            off += np.float32((dx * dx + dy * dy) / (1.5 * patch.radius**2))
-            weight = np.asarray(np.exp(-off) * counts, np.float32)
-            slot = at.astype(np.int64)
-            found.append(_Tap(weight, photo[y, x], y, x, slot, np.asarray(at - slot, np.float32)))
+    for dx, dy in patch.taps:
+        y, x = np.clip(ys + dy, 0, height - 1), np.clip(xs + dx, 0, width - 1)
+        with np.errstate(over="ignore", invalid="ignore"):
+            at = (w + gx * np.float32(dx) + gy * np.float32(dy) - w[y, x]) / step + np.float32(REACH)
+            counts = (ys + dy == y) & (xs + dx == x) & (at >= 0) & (at < 2 * REACH)
+        at = np.where(counts, at, np.float32(0))
+        off = np.abs(colour[y, x] - colour).sum(2) / np.float32(patch.sigma_grey)
+        off += np.float32((dx * dx + dy * dy) / (1.5 * patch.radius**2))
+        weight = np.asarray(np.exp(-off) * counts, np.float32)
+        slot = at.astype(np.int64)
+        found.append(_Tap(weight, photo[y, x], y, x, slot, np.asarray(at - slot, np.float32)))
     return found
 
 

@@ -12,8 +12,13 @@ namespace {
 
 constexpr int kRun = 64;  // pixels of a line whose patches are weighed together
 
+struct Tap {
+    int dx, dy;
+};
+
 struct Band {
-    int height, width, labels, reach, slots, radius, stride;
+    int height, width, labels, reach, slots, radius;
+    std::vector<Tap> taps;
     const float *depth, *slope_x, *slope_y;  // [H, W] inverse depth of the middle label, and its slopes per pixel
     // photo, red, green, blue, depth: [5, H + 2 radius, W + 2 radius]; the depth around the frame is NaN
     std::vector<float> padded;
@@ -35,6 +40,16 @@ struct Patches {
     explicit Patches(int taps)
         : weight(size_t(taps) * kRun), product(weight), fraction(weight), slot(size_t(taps) * kRun) {}
 };
+
+// Every other place of a grid, like the squares of one colour on a chessboard: neighbours' patches overlap, and half of
+// the places say as much of a label as all.
+std::vector<Tap> chessboard(int radius, int stride) {
+    std::vector<Tap> taps;
+    for (int row = 0; row * stride <= 2 * radius; ++row)
+        for (int column = row % 2; column * stride <= 2 * radius; column += 2)
+            taps.push_back({column * stride - radius, row * stride - radius});
+    return taps;
+}
 
 struct Line {  // of the photo, from the first pixel of a run
     const float *photo, *red, *green, *blue, *depth;
@@ -86,18 +101,19 @@ LFRIG_CLONES void normalise(const float *__restrict weight, float *__restrict pr
 }
 
 // The patches of the pixels [x, x + width) of line y.
-int collect(const Band &s, int y, int x, int width, Patches &t) {
+void collect(const Band &s, int y, int x, int width, Patches &t) {
     const Line here(s, y, x);
     const size_t at = size_t(y) * s.width + x;
     const float per_square = 1.0f / (1.5f * float(s.radius) * float(s.radius));
     size_t n = 0;
-    for (int dy = -s.radius; dy <= s.radius; dy += s.stride)
-        for (int dx = -s.radius; dx <= s.radius; dx += s.stride, n += kRun)
-            weigh(here, Line(s, y + dy, x + dx), s.slope_x + at, s.slope_y + at, float(dx), float(dy),
-                  float(dx * dx + dy * dy) * per_square, 1.0f / s.sigma_grey, 1.0f / s.step, float(s.reach), width,
-                  &t.weight[n], &t.product[n], &t.fraction[n], &t.slot[n]);
-    normalise(t.weight.data(), t.product.data(), int(n / kRun), width, t.mass, t.variance);
-    return int(n / kRun);
+    for (const Tap &tap : s.taps) {
+        const float dx = float(tap.dx), dy = float(tap.dy);
+        weigh(here, Line(s, y + tap.dy, x + tap.dx), s.slope_x + at, s.slope_y + at, dx, dy,
+              (dx * dx + dy * dy) * per_square, 1.0f / s.sigma_grey, 1.0f / s.step, float(s.reach), width,
+              &t.weight[n], &t.product[n], &t.fraction[n], &t.slot[n]);
+        n += kRun;
+    }
+    normalise(t.weight.data(), t.product.data(), int(s.taps.size()), width, t.mass, t.variance);
 }
 
 }  // namespace
