@@ -23,6 +23,12 @@ from lfrig.processing.noise_floor import noise_of_cost
 I16 = NDArray[np.int16]
 I32 = NDArray[np.int32]
 U16 = NDArray[np.uint16]
+Mask = NDArray[np.bool_]
+
+RANGE_STEP_PX = 0.24
+"""Between the planes by which the range of disparities is found [px per view step]."""
+RANGE_SLACK_PX = 0.36
+"""What that range may be wrong by, and what too few pixels vote for."""
 
 
 @dataclass(frozen=True)
@@ -169,23 +175,33 @@ def found_range(
 ) -> tuple[float, float] | None:
     """The disparities [px per view step of the full size] that occur, from a coarse sweep over ±``limit_px``.
 
-    Pixels vote where the best plane is clearly better than the average; the range holds 99 % of the votes on
-    each side and a margin. None when too few pixels show anything.
+    Pixels of every second band vote where the best plane is clearly better than the average; the range holds 99 % of
+    the votes on each side and a margin. None when too few pixels show anything.
     """
-    step = 0.06
-    planes = int(limit_px / step) + 1
-    grid = PlaneGrid(-limit_px / 2, step, planes)
-    found: Summary = summarise(plane_cost(half, grid, truncation_grey, chosen=chosen, threads=threads), threads=threads)
-    margin = found.mean.astype(np.float32) - found.lowest
+    step = RANGE_STEP_PX / 2
+    grid = PlaneGrid(-limit_px / 2, step, int(limit_px / step) + 1)
+    span, asked = _bands(half.height, half.width, grid.count)
+    cost = plane_cost(half, grid, truncation_grey, chosen=chosen, span=span, threads=threads)
+    found: Summary = summarise(cost, span=span, threads=threads)
+    margin = found.mean[asked].astype(np.float32) - found.lowest[asked]
     votes = margin > max(float(COST_UNIT), float(np.quantile(margin, 0.5)))
     if votes.sum() < 20:
         return None
-    lo, hi = np.quantile(found.best[votes], [0.005, 0.995])
-    slack = 3 + 0.05 * (hi - lo)
-    return (
-        max(-limit_px, float((lo - slack) * 2 * step - limit_px)),
-        min(limit_px, float((hi + slack) * 2 * step - limit_px)),
-    )
+    lo, hi = RANGE_STEP_PX * np.quantile(found.best[asked][votes], [0.005, 0.995]) - limit_px
+    slack = RANGE_SLACK_PX + 0.05 * (hi - lo)
+    return max(-limit_px, float(lo - slack)), min(limit_px, float(hi + slack))
+
+
+def _bands(height: int, width: int, planes: int) -> tuple[I16, Mask]:
+    """All planes of every second band of 16 rows, and none of the others, as a span of tiles; and the rows, bool [H].
+
+    The sweep works on such bands: what is between costs it nothing.
+    """
+    tall = 2 * TILE
+    asked = np.arange(height) // tall % 2 == 0
+    span = np.zeros((-(-height // TILE), -(-width // TILE), 2), np.int16)
+    span[asked[::TILE], :, 1] = planes
+    return span, asked
 
 
 def _tiles(half: F32, shape: tuple[int, int], least: np.ufunc) -> F32:
