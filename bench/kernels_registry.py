@@ -176,6 +176,7 @@ KERNELS = (
     Kernel(_spot("grey", "grey", "grey_views"), "grey views with a margin", None, 1.0, unit="int16"),
     Kernel(_spot("clipping", "clipping", "soften_clipped"), "blur where views clip", None, 1.0),
     Kernel(_spot("moments", "plain_cost", "view_moments"), "view differences, for plain areas", None, 1.0),
+    Kernel(_spot("power", "plain_cost", "difference_power"), "how views differ, for plain areas", None, 1.0),
     Kernel(_spot("blend", "plain_cost", "blend_plain", in_place=(0,)), "plain areas' costs", None, 1.0),
     Kernel(_spot("occupancy", "occupancy", "occupancy"), "where a source has mass", None, 0.0),
     Kernel(

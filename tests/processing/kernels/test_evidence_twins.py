@@ -176,11 +176,31 @@ def test_softmax_of_equal_costs_takes_the_first_peak() -> None:
     assert index == pytest.approx(1.5) and mass == pytest.approx(0.1)
 
 
-@pytest.mark.parametrize("shape", [(1, 1), (19, 33)])
+@pytest.mark.parametrize("shape", [(1, 1), (19, 33), (5, 150)])
 def test_sums_over_views(monkeypatch: pytest.MonkeyPatch, shape: tuple[int, int]) -> None:
     views = random_views(shape, side=5)
-    native, twin = both(monkeypatch, lambda: plain_cost.view_moments(views, threads=2))
+    everywhere = np.ones(shape, bool)
+    native, twin = both(monkeypatch, lambda: plain_cost.view_moments(views, everywhere, threads=2))
     assert all(np.array_equal(a, b) for a, b in zip(native, twin, strict=True))
+    monkeypatch.setenv("LFRIG_NATIVE", "1")
+    part = np.random.default_rng(2).random(shape) > 0.97
+    some = plain_cost.view_moments(views, part, threads=1)
+    assert all(np.array_equal(a[part], b[part]) for a, b in zip(some, native, strict=True))
+    assert not np.any(plain_cost.view_moments(views, ~everywhere))
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (19, 33), (40, 70)])
+@pytest.mark.parametrize("blur_px", [0.1, 1.0, 7.0])
+def test_power_of_differences(monkeypatch: pytest.MonkeyPatch, shape: tuple[int, int], blur_px: float) -> None:
+    views = random_views(shape, side=3)
+    everywhere = np.ones(shape, bool)
+    native, twin = both(monkeypatch, lambda: plain_cost.difference_power(views, blur_px, everywhere, threads=2))
+    np.testing.assert_allclose(native, twin, rtol=1e-4, atol=1e-2)
+    monkeypatch.setenv("LFRIG_NATIVE", "1")
+    part = np.random.default_rng(2).random(shape) > 0.99
+    some = plain_cost.difference_power(views, blur_px, part, threads=1)
+    assert np.array_equal(some[part], native[part])
+    assert not plain_cost.difference_power(views, blur_px, ~everywhere).any()
 
 
 def test_costs_of_plain_pixels(monkeypatch: pytest.MonkeyPatch) -> None:
