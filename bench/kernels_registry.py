@@ -204,6 +204,7 @@ KERNELS = (
     Kernel(_spot("landing", "landing", "landing"), "surface carried into a source", None, 1e-2),
     Kernel(_spot("layer-mean", "layer_mean", "layer_mean"), "mean within a layer", None, 1e-3),
     Kernel(_spot("perceptron", "perceptron", "perceptron"), "confidence's perceptron", None, 1e-3),
+    Kernel(_spot("curve", "curve", "curve"), "confidence's curves", None, 1e-4),
     Kernel(_spot("spread", "spread", "spread"), "planes spread into hidden areas", None, 0.0),
     Kernel(_spot("views", "layered_views", "layered_views"), "layered synthesis of 48 views", None, 1.0, ties=2e-3),
     Kernel(_spot("peel", "rims", "peel"), "background under depth steps", None, 1e-3),
