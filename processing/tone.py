@@ -21,7 +21,7 @@ ENOUGH = 100
 PLENTY = 4000
 """Pixels that a fit takes: more, evenly left out, would not move it."""
 GAMMA_LIMITS = (0.6, 1.6)
-SETTLED = 1e-4
+SETTLED = 1e-3
 """Change of gamma and log gain from one round of a fit to the next below which it has converged."""
 SPREAD = 0.15
 """Standard deviation of log values below which only a gain is fitted."""
