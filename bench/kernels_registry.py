@@ -171,7 +171,10 @@ KERNELS = (
     Kernel(
         _spot("sgm", "sgm", "aggregate"), "semi-global matching, 8 paths", _per_output(8 * 7), 0.0, unit="int16",
     ),
-    Kernel(_spot("softmax", "softmax", "softmax_peak", in_place=(0,)), "softmax and peak", _per_output(24), 1.0),
+    Kernel(
+        _spot("softmax", "softmax", "sgm_softmax"), "semi-global matching, softmax and peak",
+        _per_output(8 * 7 + 24), 1.0,
+    ),
     Kernel(_spot("summary", "softmax", "summarise"), "least and mean costs", None, 1.0, unit="int16"),
     Kernel(_spot("grey", "grey", "grey_views"), "grey views with a margin", None, 1.0, unit="int16"),
     Kernel(_spot("clipping", "clipping", "soften_clipped"), "blur where views clip", None, 1.0),

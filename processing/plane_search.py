@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from lfrig.contracts.progress import Monitor
 from lfrig.processing.kernels.grey import GreyViews
 from lfrig.processing.kernels.plane_cost import COST_UNIT, TILE, PlaneGrid, plane_cost
-from lfrig.processing.kernels.sgm import PATH_LIMIT, PATHS, aggregate
-from lfrig.processing.kernels.softmax import Summary, summarise
+from lfrig.processing.kernels.sgm import PATH_LIMIT, PATHS, Penalties, aggregate
+from lfrig.processing.kernels.softmax import Summary, sgm_softmax, summarise
 from lfrig.processing.model import F32, U8
 from lfrig.processing.noise_floor import noise_of_cost
 
@@ -76,11 +76,22 @@ class Matching:
         self, cost: U16, picture: U8, noise: float, *, step_px: float, span: I16 | None = None, threads: int = 0
     ) -> U16:
         """Semi-global matching: the sum over `PATHS` paths, uint16 [H, W, D]."""
+        small, large = self._penalties(noise, step_px)
+        return aggregate(cost, picture, small, large, self.edge_grey, span=span, threads=threads)
+
+    def probability(
+        self, cost: U16, picture: U8, noise: float, window: int, *, span: I16 | None = None, threads: int = 0
+    ) -> tuple[U16, F32, F32]:
+        """The same on planes ``step_px`` apart, and what its sums say: see `softmax_peak`."""
+        penalties = Penalties.of(picture, *self._penalties(noise, self.step_px), self.edge_grey, threads=threads)
+        return sgm_softmax(cost, penalties, self.sharpness(noise), window, span=span, threads=threads)
+
+    def _penalties(self, noise: float, step_px: float) -> tuple[float, float]:
+        """P1 and P2 in units of cost."""
         unit = COST_UNIT * self.swell(noise)
         most = PATH_LIMIT - round(self.truncation_grey * COST_UNIT) - 1
         large = min(self.p2_grey * unit, most)
-        small = min(self.p1_grey * unit * step_px / self.step_px, large / 1.5)
-        return aggregate(cost, picture, small, large, self.edge_grey, span=span, threads=threads)
+        return min(self.p1_grey * unit * step_px / self.step_px, large / 1.5), large
 
 
 @dataclass(frozen=True)
