@@ -129,9 +129,8 @@ def _nearest_value(values: F32, where: Mask) -> F32:
     _, labels = cv2.distanceTransformWithLabels(
         (~where).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
     )
-    table = np.zeros(int(labels.max()) + 1, np.float32)
-    table[labels[where]] = values[where]
-    return np.asarray(table[labels], np.float32)
+    # Labels count the pixels of `where` from 1, row by row.
+    return np.asarray(np.take(np.concatenate([np.zeros(1, np.float32), values[where]]), labels), np.float32)
 
 
 def _views(

@@ -7,6 +7,7 @@ the light field has at all, and where it has steps. The coarse sweep compares th
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -220,4 +221,5 @@ def _tiles(half: F32, shape: tuple[int, int], least: np.ufunc) -> F32:
     tile = TILE // 2
     down, across = (-(-n // TILE) for n in shape)
     whole = np.pad(half, ((0, down * tile - half.shape[0]), (0, across * tile - half.shape[1])), mode="edge")
-    return np.asarray(least.reduce(least.reduce(whole.reshape(down, tile, across, tile), axis=3), axis=1))
+    rows = functools.reduce(least, (whole[k::tile] for k in range(tile)))
+    return np.asarray(functools.reduce(least, (rows[:, k::tile] for k in range(tile))))
