@@ -92,10 +92,11 @@ void view_moments(Views views, int centre, int pad, Offsets offsets, Wanted want
     });
 }
 
-// wanted uint8 [H, W]: where the power is asked for; taps float32 [2 r + 1], r at most the margin. The sum over the views
-// of (blurred view - blurred centre)^2 [grey levels^2] to power float32 [H, W], which is 0 in blocks without any.
-void difference_power(Views views, int centre, int pad, ndarray<const float, nb::ndim<1>, nb::c_contig, nb::device::cpu> taps,
-                      Wanted wanted, Map power, int threads) {
+// wanted uint8 [H, W]: where the power is asked for; taps float32 [2 r + 1], r at most the margin. The sum over the
+// views of (blurred view - blurred centre)^2 [grey levels^2] to power float32 [H, W], 0 in blocks without any.
+void difference_power(Views views, int centre, int pad,
+                      ndarray<const float, nb::ndim<1>, nb::c_contig, nb::device::cpu> taps, Wanted wanted, Map power,
+                      int threads) {
     const int count = int(views.shape(0)), rows = int(views.shape(1)), stride = int(views.shape(2));
     const int height = int(power.shape(0)), width = int(power.shape(1)), radius = int(taps.shape(0)) / 2;
     if (int(wanted.shape(0)) != height || int(wanted.shape(1)) != width || rows < height + 2 * pad + kDown ||
@@ -164,8 +165,8 @@ void blend_plain(ndarray<uint16_t, nb::ndim<3>, nb::c_contig, nb::device::cpu> c
 
 void register_plain_cost(nb::module_ &m) {
     m.def("view_moments", &view_moments, nb::arg("views").noconvert(), nb::arg("centre"), nb::arg("pad"),
-          nb::arg("offsets").noconvert(), nb::arg("wanted").noconvert(), nb::arg("by_row").noconvert(), nb::arg("by_column").noconvert(),
-          nb::arg("threads"));
+          nb::arg("offsets").noconvert(), nb::arg("wanted").noconvert(), nb::arg("by_row").noconvert(),
+          nb::arg("by_column").noconvert(), nb::arg("threads"));
     m.def("difference_power", &difference_power, nb::arg("views").noconvert(), nb::arg("centre"), nb::arg("pad"),
           nb::arg("taps").noconvert(), nb::arg("wanted").noconvert(), nb::arg("power").noconvert(), nb::arg("threads"));
     m.def("blend_plain", &blend_plain, nb::arg("cost").noconvert(), nb::arg("span").noconvert(),

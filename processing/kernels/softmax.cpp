@@ -1,5 +1,5 @@
-// What a volume of aggregated costs says: its softmax with the windowed mean around the peak, also of sums as they leave
-// semi-global matching, and a summary of it per pixel. Twins: softmax.py.
+// What a volume of aggregated costs says: its softmax with the windowed mean around the peak, also of sums as they
+// leave semi-global matching, and a summary of it per pixel. Twins: softmax.py.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 
