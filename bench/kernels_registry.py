@@ -171,11 +171,15 @@ KERNELS = (
     Kernel(
         _spot("sgm", "sgm", "aggregate"), "semi-global matching, 8 paths", _per_output(8 * 7), 0.0, unit="int16",
     ),
-    Kernel(_spot("softmax", "softmax", "softmax_peak", in_place=(0,)), "softmax and peak", _per_output(24), 1.0),
+    Kernel(
+        _spot("softmax", "softmax", "sgm_softmax"), "semi-global matching, softmax and peak",
+        _per_output(8 * 7 + 24), 1.0,
+    ),
     Kernel(_spot("summary", "softmax", "summarise"), "least and mean costs", None, 1.0, unit="int16"),
     Kernel(_spot("grey", "grey", "grey_views"), "grey views with a margin", None, 1.0, unit="int16"),
     Kernel(_spot("clipping", "clipping", "soften_clipped"), "blur where views clip", None, 1.0),
     Kernel(_spot("moments", "plain_cost", "view_moments"), "view differences, for plain areas", None, 1.0),
+    Kernel(_spot("power", "plain_cost", "difference_power"), "how views differ, for plain areas", None, 1.0),
     Kernel(_spot("blend", "plain_cost", "blend_plain", in_place=(0,)), "plain areas' costs", None, 1.0),
     Kernel(_spot("occupancy", "occupancy", "occupancy"), "where a source has mass", None, 0.0),
     Kernel(
@@ -203,6 +207,7 @@ KERNELS = (
     Kernel(_spot("landing", "landing", "landing"), "surface carried into a source", None, 1e-2),
     Kernel(_spot("layer-mean", "layer_mean", "layer_mean"), "mean within a layer", None, 1e-3),
     Kernel(_spot("perceptron", "perceptron", "perceptron"), "confidence's perceptron", None, 1e-3),
+    Kernel(_spot("curve", "curve", "curve"), "confidence's curves", None, 1e-4),
     Kernel(_spot("spread", "spread", "spread"), "planes spread into hidden areas", None, 0.0),
     Kernel(_spot("views", "layered_views", "layered_views"), "layered synthesis of 48 views", None, 1.0, ties=2e-3),
     Kernel(_spot("peel", "rims", "peel"), "background under depth steps", None, 1e-3),

@@ -14,7 +14,6 @@ from lfrig.processing.dpv_match import MatchTask, match_after_search, match_ever
 from lfrig.processing.dpv_settings import DEFAULT_DPV as DEFAULT_DPV
 from lfrig.processing.dpv_settings import DpvSettings as DpvSettings
 from lfrig.processing.dpv_settings import plane_grid as plane_grid
-from lfrig.processing.kernels.softmax import softmax_peak
 from lfrig.processing.matching_views import LIMIT_PX, MatchingViews, matching_views
 from lfrig.processing.model import Evidence, LightField
 from lfrig.processing.plane_search import found_range
@@ -63,8 +62,8 @@ def light_field_evidence(
     matching = settings.matching(grid.step)
     task = MatchTask(light_field.centre_view, views, grid, settings, matching, threads, monitor)
     match = match_after_search(task, skips, tally) if skips.planes else match_everywhere(task)
-    probability, index, confidence = softmax_peak(
-        match.total, matching.sharpness(match.noise), settings.window, span=match.span, threads=threads
+    probability, index, confidence = matching.probability(
+        match.cost, light_field.centre_view, match.noise, settings.window, span=match.span, threads=threads
     )
     disparity = np.asarray(grid.first + grid.step * index, np.float32)
     used, tested = len(views.full.padded), float(match.edges.mean())

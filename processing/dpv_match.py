@@ -75,38 +75,33 @@ class MatchTask:
             cap = self.settings.plain.cap_grey
             blend_plain_cost(cost, grid, areas, temperature, cap, span=span, threads=self.threads)
 
-    def aggregate(self, cost: U16, noise: float, span: I16 | None = None) -> U16:
+    def aggregate(self, cost: U16, noise: float) -> U16:
         """Semi-global matching at full size."""
-        return self.matching.aggregate(
-            cost, self.picture, noise, step_px=self.grid.step, span=span, threads=self.threads
-        )
+        return self.matching.aggregate(cost, self.picture, noise, step_px=self.grid.step, threads=self.threads)
 
 
 @dataclass(frozen=True)
 class Match:
-    """``total`` uint16 [H, W, D], aggregated costs within ``span``; ``edges`` bool [H, W], where halves of the aperture
-    were tested.
+    """``cost`` uint16 [H, W, D], still to be aggregated, within ``span``; ``edges`` bool [H, W], where halves of the
+    aperture were tested.
     """
 
-    total: U16
+    cost: U16
     span: I16 | None
     noise: float
     edges: Mask
 
 
 def match_everywhere(task: MatchTask) -> Match:
-    """Sweep all planes with all views, match, test halves of the aperture where disparity steps, match again."""
+    """Sweep all planes with all views, match, and test halves of the aperture where disparity steps."""
     cost = task.sweep()
     noise = noise_of_cost(cost, threads=task.threads)
     task.constrain(cost, task.grid, task.plain_areas(noise), noise)
-    total = task.aggregate(cost, noise)
-    best = summarise(total, threads=task.threads).best
+    best = summarise(task.aggregate(cost, noise), threads=task.threads).best
     edges = task.steps(best * np.float32(task.grid.step))
-    if not edges.any():
-        return Match(total, None, noise, edges)
-    del total
-    task.sweep(edges, out=cost)
-    return Match(task.aggregate(cost, noise), None, noise, edges)
+    if edges.any():
+        task.sweep(edges, out=cost)
+    return Match(cost, None, noise, edges)
 
 
 def match_after_search(task: MatchTask, skips: Skips, tally: Tally | None) -> Match:
@@ -131,7 +126,7 @@ def match_after_search(task: MatchTask, skips: Skips, tally: Tally | None) -> Ma
         _count(tally, task, span, len(chosen), time.process_time() - start)
     noise = noise_of_cost(cost, span=span, edges=edges, threads=task.threads)
     task.constrain(cost, grid, areas, noise, span)
-    return Match(task.aggregate(cost, noise, span), span, noise, edges)
+    return Match(cost, span, noise, edges)
 
 
 def _count(tally: Tally, task: MatchTask, span: I16 | None, compared: int, cpu_s: float) -> None:

@@ -21,7 +21,7 @@ from lfrig.processing.skipping import SKIP_ALL, Skips, Tally
 from lfrig.processing.tone import Tone, blurred, fit_tone
 from lfrig.processing.visibility import Landing, Mask, way_into
 
-TONE_SAMPLES = 8_000
+TONE_SAMPLES = 4_000
 """About how many pixels of the photo the sources' tones are fitted to."""
 
 
@@ -129,29 +129,29 @@ def _nearest_value(values: F32, where: Mask) -> F32:
     _, labels = cv2.distanceTransformWithLabels(
         (~where).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
     )
-    table = np.zeros(int(labels.max()) + 1, np.float32)
-    table[labels[where]] = values[where]
-    return np.asarray(table[labels], np.float32)
+    # Labels count the pixels of `where` from 1, row by row.
+    return np.asarray(np.take(np.concatenate([np.zeros(1, np.float32), values[where]]), labels), np.float32)
 
 
 def _views(
     current: F32, sources: Sequence[Source], camera: Camera, pose: Pose, photo: F32, settings: EdgeSettings
 ) -> list[EdgeView]:
-    """The sources' centre views, blurred and in the photo's tone."""
+    """The sources' centre views, in the photo's tone and blurred."""
     views = []
     for source in sources:
-        way = way_into(source, camera, pose)
-        picture = blurred(source.light_field.centre_view, settings.blur_px)
-        views.append(EdgeView(way, _tone(current, way, photo, picture, settings).apply(picture)))
+        way, picture = way_into(source, camera, pose), source.light_field.centre_view
+        tone = _tone(current, way, photo, picture, settings)
+        views.append(EdgeView(way, blurred(tone.apply_whole(picture), settings.blur_px)))
     return views
 
 
-def _tone(current: F32, way: Way, photo: F32, picture: F32, settings: EdgeSettings) -> Tone:
+def _tone(current: F32, way: Way, photo: F32, picture: U8, settings: EdgeSettings) -> Tone:
     """Of a source, from about `TONE_SAMPLES` pixels of the surface as it is."""
     import cv2
 
     stride = max(1, int((current.size / TONE_SAMPLES) ** 0.5))
     ys, xs = (part[::stride, ::stride].astype(np.float32) for part in np.mgrid[: current.shape[0], : current.shape[1]])
     landing = Landing(*land_points(way, xs, ys, current[::stride, ::stride]))
-    colour = cv2.remap(picture, landing.u, landing.v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return fit_tone(photo[::stride, ::stride], np.asarray(colour), landing.visible(settings.margin_px) > 0.5)
+    soft = cv2.GaussianBlur(picture, (0, 0), settings.blur_px)
+    colour = cv2.remap(soft, landing.u, landing.v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return fit_tone(photo[::stride, ::stride], colour.astype(np.float32), landing.visible(settings.margin_px) > 0.5)

@@ -10,6 +10,8 @@ from lfrig.processing.kernels.softmax import summarise
 
 NOISE_PER_FLOOR = 1.37
 CLEAN_FLOOR_GREY = 0.4
+EVERY = 4
+"""Of rows and columns, the ones that are asked: their floor is that of all to 0.02 grey levels."""
 NOISE_PER_HALF = 1.7
 """Noise of views, as measured, per noise of the same at half size: a pixel there is the mean of four, but matched with
 less interpolation (measured at 2 to 10 grey levels)."""
@@ -29,9 +31,9 @@ def noise_of_cost(
     clean floor of about 0.4 (interpolation and the box average part of the noise away, the best of many planes is
     lower still).
     """
-    lowest = summarise(cost, span=span, every=2, threads=threads).lowest
+    lowest = summarise(cost, span=span, every=EVERY, threads=threads).lowest
     if edges is not None and not edges.all():
-        lowest = lowest[~edges[::2, ::2]]
+        lowest = lowest[~edges[::EVERY, ::EVERY]]
     rank = lowest.size // 10
     floor = float(np.partition(lowest, rank, axis=None)[rank]) / COST_UNIT
     return NOISE_PER_FLOOR * float(np.sqrt(max(0.0, floor**2 - CLEAN_FLOOR_GREY**2)))

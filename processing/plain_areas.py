@@ -19,8 +19,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lfrig.processing.kernels.grey import SCALE, GreyViews, as_grey
-from lfrig.processing.kernels.plain_cost import blend_plain, view_moments
+from lfrig.processing.kernels.grey import GreyViews, as_grey
+from lfrig.processing.kernels.plain_cost import blend_plain, difference_power, view_moments
 from lfrig.processing.kernels.plane_cost import COST_UNIT, PlaneGrid
 from lfrig.processing.model import F32
 from lfrig.processing.patch import slopes
@@ -28,6 +28,7 @@ from lfrig.processing.tone import blurred
 
 I16 = NDArray[np.int16]
 U16 = NDArray[np.uint16]
+Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -98,7 +99,9 @@ def find_plain_areas(
     swell = 1 + settings.growth * noise
     blur, window = swell * settings.blur_px, swell * settings.window_px
     gx, gy = slopes(blurred(own, blur))
-    by_row, by_column = (blurred(sums, blur) for sums in view_moments(views, threads=threads))
+    solved = _near(weight > 0, window)
+    moments = view_moments(views, _near(solved, blur), threads=threads)
+    by_row, by_column = (blurred(sums, blur) for sums in moments)
     offsets = views.offsets[views.others()]
     rows, columns = (float((offsets[:, i] ** 2).sum()) for i in (0, 1))
     cross = float((offsets[:, 0] * offsets[:, 1]).sum())
@@ -107,7 +110,8 @@ def find_plain_areas(
     disparity: F32 = np.asarray(numerator / np.maximum(denominator, np.float32(1e-9)), np.float32)
     sigma2 = settings.noise_grey**2 + (NOISE_THROUGH_BLUR * 2 / blur * noise) ** 2
     precision: F32 = np.asarray(denominator * np.float32(settings.gain / sigma2), np.float32)
-    total = _at_full_size(blurred(_difference_power(half, blur / 2), window / 2), own.shape)
+    power = difference_power(half, blur / 2, _at_half_size(solved, half), threads=threads)
+    total = _at_full_size(blurred(power, window / 2), own.shape)
     left: F32 = np.asarray((total - disparity**2 * denominator) / np.float32(len(offsets)), np.float32)
     weight *= np.clip(2 - left / np.float32(2 * settings.misfit * sigma2), 0, 1)
     shift = np.abs(disparity) * np.float32(np.abs(offsets).max() / (settings.reach * blur))
@@ -135,17 +139,20 @@ def blend_plain_cost(
     )  # fmt: skip
 
 
-def _difference_power(half: GreyViews, blur: float) -> F32:
-    """Sum over the views of the squared blurred difference from the centre, float32 [H/2, W/2]."""
+def _near(area: Mask, blur: float) -> Mask:
+    """What a Gaussian blur of the area reads, bool [H, W]."""
     import cv2
 
-    own = half.images[half.centre]
-    power = np.zeros(own.shape, np.float32)
-    for v in half.others():
-        difference = cv2.GaussianBlur(cv2.subtract(half.images[v], own, dtype=cv2.CV_32F), (0, 0), blur)
-        cv2.accumulateSquare(difference, power)
-    power /= np.float32(SCALE**2)
-    return power
+    size = 2 * int(np.ceil(4 * blur) + 1) + 1
+    return np.asarray(cv2.dilate(area.view(np.uint8), np.ones((size, size), np.uint8))).view(np.bool_)
+
+
+def _at_half_size(area: Mask, half: GreyViews) -> Mask:
+    """An area that spans several pixels, bool [H/2, W/2], and a pixel beyond."""
+    import cv2
+
+    part = np.ascontiguousarray(area[::2, ::2][: half.height, : half.width]).view(np.uint8)
+    return np.asarray(cv2.dilate(part, np.ones((3, 3), np.uint8))).view(np.bool_)
 
 
 def _at_full_size(image: F32, shape: tuple[int, ...]) -> F32:

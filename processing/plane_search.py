@@ -7,6 +7,7 @@ the light field has at all, and where it has steps. The coarse sweep compares th
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,14 +16,20 @@ from numpy.typing import NDArray
 from lfrig.contracts.progress import Monitor
 from lfrig.processing.kernels.grey import GreyViews
 from lfrig.processing.kernels.plane_cost import COST_UNIT, TILE, PlaneGrid, plane_cost
-from lfrig.processing.kernels.sgm import PATH_LIMIT, PATHS, aggregate
-from lfrig.processing.kernels.softmax import Summary, summarise
+from lfrig.processing.kernels.sgm import PATH_LIMIT, PATHS, Penalties, aggregate
+from lfrig.processing.kernels.softmax import Summary, sgm_softmax, summarise
 from lfrig.processing.model import F32, U8
 from lfrig.processing.noise_floor import noise_of_cost
 
 I16 = NDArray[np.int16]
 I32 = NDArray[np.int32]
 U16 = NDArray[np.uint16]
+Mask = NDArray[np.bool_]
+
+RANGE_STEP_PX = 0.24
+"""Between the planes by which the range of disparities is found [px per view step]."""
+RANGE_SLACK_PX = 0.36
+"""What that range may be wrong by, and what too few pixels vote for."""
 
 
 @dataclass(frozen=True)
@@ -70,11 +77,22 @@ class Matching:
         self, cost: U16, picture: U8, noise: float, *, step_px: float, span: I16 | None = None, threads: int = 0
     ) -> U16:
         """Semi-global matching: the sum over `PATHS` paths, uint16 [H, W, D]."""
+        small, large = self._penalties(noise, step_px)
+        return aggregate(cost, picture, small, large, self.edge_grey, span=span, threads=threads)
+
+    def probability(
+        self, cost: U16, picture: U8, noise: float, window: int, *, span: I16 | None = None, threads: int = 0
+    ) -> tuple[U16, F32, F32]:
+        """The same on planes ``step_px`` apart, and what its sums say: see `softmax_peak`."""
+        penalties = Penalties.of(picture, *self._penalties(noise, self.step_px), self.edge_grey, threads=threads)
+        return sgm_softmax(cost, penalties, self.sharpness(noise), window, span=span, threads=threads)
+
+    def _penalties(self, noise: float, step_px: float) -> tuple[float, float]:
+        """P1 and P2 in units of cost."""
         unit = COST_UNIT * self.swell(noise)
         most = PATH_LIMIT - round(self.truncation_grey * COST_UNIT) - 1
         large = min(self.p2_grey * unit, most)
-        small = min(self.p1_grey * unit * step_px / self.step_px, large / 1.5)
-        return aggregate(cost, picture, small, large, self.edge_grey, span=span, threads=threads)
+        return min(self.p1_grey * unit * step_px / self.step_px, large / 1.5), large
 
 
 @dataclass(frozen=True)
@@ -169,23 +187,33 @@ def found_range(
 ) -> tuple[float, float] | None:
     """The disparities [px per view step of the full size] that occur, from a coarse sweep over ±``limit_px``.
 
-    Pixels vote where the best plane is clearly better than the average; the range holds 99 % of the votes on
-    each side and a margin. None when too few pixels show anything.
+    Pixels of every second band vote where the best plane is clearly better than the average; the range holds 99 % of
+    the votes on each side and a margin. None when too few pixels show anything.
     """
-    step = 0.06
-    planes = int(limit_px / step) + 1
-    grid = PlaneGrid(-limit_px / 2, step, planes)
-    found: Summary = summarise(plane_cost(half, grid, truncation_grey, chosen=chosen, threads=threads), threads=threads)
-    margin = found.mean.astype(np.float32) - found.lowest
+    step = RANGE_STEP_PX / 2
+    grid = PlaneGrid(-limit_px / 2, step, int(limit_px / step) + 1)
+    span, asked = _bands(half.height, half.width, grid.count)
+    cost = plane_cost(half, grid, truncation_grey, chosen=chosen, span=span, threads=threads)
+    found: Summary = summarise(cost, span=span, threads=threads)
+    margin = found.mean[asked].astype(np.float32) - found.lowest[asked]
     votes = margin > max(float(COST_UNIT), float(np.quantile(margin, 0.5)))
     if votes.sum() < 20:
         return None
-    lo, hi = np.quantile(found.best[votes], [0.005, 0.995])
-    slack = 3 + 0.05 * (hi - lo)
-    return (
-        max(-limit_px, float((lo - slack) * 2 * step - limit_px)),
-        min(limit_px, float((hi + slack) * 2 * step - limit_px)),
-    )
+    lo, hi = RANGE_STEP_PX * np.quantile(found.best[asked][votes], [0.005, 0.995]) - limit_px
+    slack = RANGE_SLACK_PX + 0.05 * (hi - lo)
+    return max(-limit_px, float(lo - slack)), min(limit_px, float(hi + slack))
+
+
+def _bands(height: int, width: int, planes: int) -> tuple[I16, Mask]:
+    """All planes of every second band of 16 rows, and none of the others, as a span of tiles; and the rows, bool [H].
+
+    The sweep works on such bands: what is between costs it nothing.
+    """
+    tall = 2 * TILE
+    asked = np.arange(height) // tall % 2 == 0
+    span = np.zeros((-(-height // TILE), -(-width // TILE), 2), np.int16)
+    span[asked[::TILE], :, 1] = planes
+    return span, asked
 
 
 def _tiles(half: F32, shape: tuple[int, int], least: np.ufunc) -> F32:
@@ -193,4 +221,5 @@ def _tiles(half: F32, shape: tuple[int, int], least: np.ufunc) -> F32:
     tile = TILE // 2
     down, across = (-(-n // TILE) for n in shape)
     whole = np.pad(half, ((0, down * tile - half.shape[0]), (0, across * tile - half.shape[1])), mode="edge")
-    return np.asarray(least.reduce(least.reduce(whole.reshape(down, tile, across, tile), axis=3), axis=1))
+    rows = functools.reduce(least, (whole[k::tile] for k in range(tile)))
+    return np.asarray(functools.reduce(least, (rows[:, k::tile] for k in range(tile))))

@@ -21,6 +21,8 @@ ENOUGH = 100
 PLENTY = 4000
 """Pixels that a fit takes: more, evenly left out, would not move it."""
 GAMMA_LIMITS = (0.6, 1.6)
+SETTLED = 1e-3
+"""Change of gamma and log gain from one round of a fit to the next below which it has converged."""
 SPREAD = 0.15
 """Standard deviation of log values below which only a gain is fitted."""
 SATURATED_GREY = 250
@@ -50,10 +52,19 @@ class Tone:
         import cv2
 
         table = np.empty((256, 1, 4), np.uint8)
-        levels = np.repeat(np.arange(256, dtype=np.float32)[:, None], 3, 1)
-        table[:, 0, :3] = np.rint(self.apply(levels))
+        table[:, 0, :3] = np.rint(self.table())
         table[:, 0, 3] = np.arange(256)
         return np.asarray(cv2.LUT(image, table), np.uint8)
+
+    def apply_whole(self, image: U8) -> F32:
+        """The same for whole grey levels uint8 [H, W, 3], by a table: float32 [H, W, 3]."""
+        import cv2
+
+        return np.asarray(cv2.LUT(image, self.table()[:, None]), np.float32)
+
+    def table(self) -> F32:
+        """Of every grey level, float32 [256, 3]."""
+        return self.apply(np.repeat(np.arange(256, dtype=np.float32)[:, None], 3, 1))
 
 
 def fit_tone(photo: F32, colour: F32, seen: Mask) -> Tone:
@@ -85,14 +96,20 @@ def _fit_channel(photo: F32, source: F32) -> tuple[float, float]:
     slope, level = 1.0, offset
     middle = len(x) // 2
     for _ in range(8):
-        residual = y - slope * x - level
+        residual = y - slope * x
+        residual -= level
         scale = 1.4826 * float(np.partition(np.abs(residual), middle)[middle]) + 1e-3
-        weight = np.clip(1 - (residual / (4.685 * scale)) ** 2, 0, 1) ** 2
+        residual /= 4.685 * scale
+        weight = np.maximum(1 - residual * residual, 0)
+        weight *= weight
         total = weight.sum()
-        mx, my = (weight * x).sum() / total, (weight * y).sum() / total
-        slope = float((weight * (x - mx) * (y - my)).sum() / max((weight * (x - mx) ** 2).sum(), 1e-12))
-        slope = float(np.clip(slope, *GAMMA_LIMITS))
+        mx, my = float(weight @ x) / total, float(weight @ y) / total
+        before, dx = (slope, level), x - mx
+        weight *= dx
+        slope = float(np.clip(float(weight @ (y - my)) / max(float(weight @ dx), 1e-12), *GAMMA_LIMITS))
         level = float(my - slope * mx)
+        if abs(slope - before[0]) + abs(level - before[1]) < SETTLED:
+            break
     return float(np.exp(level)), slope
 
 

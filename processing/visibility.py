@@ -31,8 +31,12 @@ class Landing:
 
     def visible(self, margin_px: float) -> F32:
         """How far the source sees each point, 0..1 float32 [H, W]: falls from 1 to 0 between 1 and 1.5 margins."""
-        hidden = (self.ahead - np.float32(margin_px)) / np.float32(0.5 * margin_px)
-        return np.asarray(np.clip(1 - hidden, 0, 1) * self.inside, np.float32)
+        seen: F32 = self.ahead - np.float32(margin_px)
+        seen /= np.float32(0.5 * margin_px)
+        np.subtract(1, seen, out=seen)
+        np.clip(seen, 0, 1, out=seen)
+        seen *= self.inside
+        return seen
 
     def contradicted(self, margin_px: float) -> F32:
         """How far each point floats before what the source sees there, 0..1 float32 [H, W]."""

@@ -148,17 +148,18 @@ class _Nearest:
         distance, labels = cv2.distanceTransformWithLabels(
             (~where).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
         )
-        table = np.zeros(int(labels.max()) + 1, np.int64)
-        table[labels[where]] = np.flatnonzero(where)
-        return cls(np.asarray(distance, np.float32), table[labels])
+        # Labels count the pixels of the set from 1, row by row.
+        table = np.concatenate([np.zeros(1, np.intp), np.flatnonzero(where)])
+        return cls(np.asarray(distance, np.float32), np.take(table, labels))
 
     def look_up(self, values: F32) -> F32:
         """The value at the nearest pixel of the set, float32 [H, W]."""
-        return np.asarray(values.ravel()[self.index], np.float32)
+        return np.asarray(np.take(values, self.index), np.float32)
 
 
 def _log(values: F32, least: float) -> F32:
-    return np.asarray(np.log10(np.maximum(values, np.float32(least))), np.float32)
+    held: F32 = np.asarray(np.maximum(values, np.float32(least)), np.float32)
+    return np.log10(held, out=held)
 
 
 def _box(values: F32, size: int) -> F32:

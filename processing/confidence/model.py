@@ -20,6 +20,7 @@ import numpy as np
 
 from lfrig.processing.confidence.clues import Clues
 from lfrig.processing.confidence.features import feature_maps
+from lfrig.processing.kernels.curve import curve
 from lfrig.processing.kernels.perceptron import Layer, perceptron
 from lfrig.processing.model import F32, F64
 
@@ -42,13 +43,9 @@ class Curve:
     x: F64
     y: F64
 
-    def __call__(self, values: F32) -> F32:
+    def __call__(self, values: F32, *, threads: int = 0) -> F32:
         """The curve at ``values``, float32 of the same shape."""
-        out = np.interp(values, self.x, self.y).astype(np.float32)
-        first, last = ((self.y[i + 1] - self.y[i]) / (self.x[i + 1] - self.x[i]) for i in (0, -2))
-        out += np.float32(first) * np.minimum(values - np.float32(self.x[0]), np.float32(0))
-        out += np.float32(last) * np.maximum(values - np.float32(self.x[-1]), np.float32(0))
-        return out
+        return curve(values, self.x, self.y, threads=threads)
 
 
 @dataclass(frozen=True)
@@ -68,9 +65,9 @@ class ConfidenceModel:
         """Logarithm of E|error| [px per view step of the sources], float32 [N], of ``features`` float32 [N] each."""
         return perceptron(features, self.mean, self.spread, self.layers, limit=LIMIT, leak=LEAK, threads=threads)
 
-    def probability(self, sigma_px: F32) -> F32:
+    def probability(self, sigma_px: F32, *, threads: int = 0) -> F32:
         """P(|error| < 0.1 px) of pixels whose error has the scale ``sigma_px``, float32 of the same shape."""
-        return np.asarray(1 / (1 + np.exp(-self.logit(np.log(sigma_px)))), np.float32)
+        return np.asarray(1 / (1 + np.exp(-self.logit(np.log(sigma_px), threads=threads))), np.float32)
 
     def to_json(self) -> dict[str, Any]:
         """The content of ``model.json``."""
@@ -129,11 +126,11 @@ def estimate(
     model = model or shipped_model()
     maps = feature_maps(clues)
     features = [maps[name].ravel() for name in model.names]
-    log_sigma = model.sigma(model.log_error(features, threads=threads)).reshape(clues.surface.shape)
+    log_sigma = model.sigma(model.log_error(features, threads=threads), threads=threads).reshape(clues.surface.shape)
     own = np.exp(log_sigma) * np.float32(clues.unit * px_per_inverse)
     common = clues.surface * np.float32(clues.scale_sigma * px_per_inverse)
     sigma_px, judged = (
         np.asarray(np.clip(np.hypot(own, share * common), *SIGMA_LIMITS_PX), np.float32)
         for share in (np.float32(1), COMMON_SHARE)
     )
-    return model.probability(judged), sigma_px
+    return model.probability(judged, threads=threads), sigma_px

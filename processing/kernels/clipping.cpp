@@ -92,42 +92,90 @@ LFRIG_CLONES void soften_block(const View &v, const Taps &soft, const Taps &shar
     }
 }
 
-bool any_near(const View &v, int x0, int y0, int n, int rows, int radius) {
-    for (int y = y0 - radius; y < y0 + rows + radius; ++y)
-        if (std::memchr(v.near + y * v.wide + x0 - radius, 1, size_t(n + 2 * radius))) return true;
-    return false;
-}
-
-// Clipped pixels of one view, and in which rows there are any.
+// Clipped pixels of one view, and between which rows there are any.
 struct Clipped {
-    std::vector<uint8_t> pixels, rows;
-    bool any = false;
+    std::vector<uint8_t> pixels, rows;  // of the rows without any, pixels are not set
+    int first, past;
 
-    Clipped(const uint8_t *rgb, const int16_t *grey, ptrdiff_t stride, int height, int width, int limit)
-        : pixels(size_t(height) * width), rows(height) {
-        for (int y = 0; y < height; ++y)
-            for (int x = 0; x < width; x += 2 * kAcross) {
-                const int n = std::min(2 * kAcross, width - x);
-                // Luma is a mean of the channels: where all are at the limit, so is it, but for rounding.
-                if (brightest(grey + y * stride + x, n) < limit * 64 - 1) continue;
-                const size_t at = size_t(y) * width + x;
-                rows[y] |= uint8_t(find_clipped(rgb + 3 * at, limit, pixels.data() + at, n));
-                any |= rows[y] != 0;
-            }
+    void find(const uint8_t *rgb, const int16_t *grey, ptrdiff_t stride, int height, int width, int limit) {
+        pixels.resize(size_t(height) * width);
+        rows.assign(size_t(height), 0);
+        first = height, past = 0;
+        for (int y = 0; y < height; ++y) {
+            // Luma is a mean of the channels: where all are at the limit, so is it, but for rounding.
+            if (brightest(grey + y * stride, width) < limit * 64 - 1) continue;
+            const size_t at = size_t(y) * width;
+            if (!find_clipped(rgb + 3 * at, limit, pixels.data() + at, width)) continue;
+            rows[y] = 1;
+            first = std::min(first, y);
+            past = y + 1;
+        }
     }
 };
 
-// Fills the border of an image whose rows are `wide` long.
+// What the blurs of one view read: kept from view to view, for fresh memory costs more than all else.
+struct Scratch {
+    Clipped clipped;
+    std::vector<uint8_t> near, any;  // any: over the rows that a row of blocks reads
+    std::vector<int16_t> own;
+};
+
+// A row of an image of any height and width to one with a repeated border.
 template <class T>
-void repeat_border(std::vector<T> &image, int height, int width, int border, ptrdiff_t wide) {
-    for (int y = border; y < height + border; ++y) {
-        T *row = image.data() + y * wide;
-        std::fill(row, row + border, row[border]);
-        std::fill(row + border + width, row + wide, row[border + width - 1]);
+void extend(const T *row, int width, int border, ptrdiff_t wide, T *out) {
+    std::fill(out, out + border, row[0]);
+    std::copy_n(row, width, out + border);
+    std::fill(out + border + width, out + wide, row[width - 1]);
+}
+
+LFRIG_CLONES void join_row(const uint8_t *__restrict near, uint8_t *__restrict any, ptrdiff_t wide) {
+    for (ptrdiff_t x = 0; x < wide; ++x) any[x] |= near[x];
+}
+
+struct Shape {  // by which clipped pixels are spread
+    const int32_t *half_widths;  // of its rows
+    int reach;
+};
+
+// near[x] = 1 where a clipped pixel is near row y.
+void spread(const Clipped &clipped, int y, int height, int width, const Shape &shape, uint8_t *near) {
+    std::fill(near, near + width, uint8_t(0));
+    for (int d = -shape.reach; d <= shape.reach; ++d)
+        if (y + d >= 0 && y + d < height && clipped.rows[y + d])
+            spread_row(clipped.pixels.data() + size_t(y + d) * width, shape.half_widths[d + shape.reach], near, width);
+}
+
+// One view, whose clipped pixels have been found.
+void soften_view(int16_t *image, ptrdiff_t stride, int height, int width, const Taps &soft, const Taps &share,
+                 const Shape &shape, Scratch &t) {
+    // Both blurs read beyond the image, and beyond it by what is left of the last block.
+    const int border = std::max(soft.radius, share.radius), reach = shape.reach + share.radius;
+    const ptrdiff_t wide = width + 2 * border + kAcross, high = height + 2 * border + kDown;
+    t.near.resize(size_t(high * wide));
+    t.own.resize(size_t(high * wide));
+    const int from = std::max(0, t.clipped.first - reach) / kDown * kDown;
+    const int past = std::min(height, t.clipped.past + reach);
+    const int last = from + (past - from + kDown - 1) / kDown * kDown + 2 * border;  // row of the copies
+    std::vector<uint8_t> line(width);
+    for (int row = from; row < last; ++row) {
+        const int y = std::min(std::max(row - border, 0), height - 1);
+        extend(image + y * stride, width, border, wide, t.own.data() + row * wide);
+        spread(t.clipped, y, height, width, shape, line.data());
+        extend(line.data(), width, border, wide, t.near.data() + row * wide);
     }
-    for (int y = 0; y < border; ++y) std::copy_n(image.data() + border * wide, wide, image.data() + y * wide);
-    for (size_t y = size_t(border + height); y < image.size() / size_t(wide); ++y)
-        std::copy_n(image.data() + (border + height - 1) * wide, wide, image.data() + ptrdiff_t(y) * wide);
+    const ptrdiff_t corner = border * wide + border;
+    const View view{image, stride, t.own.data() + corner, t.near.data() + corner, wide};
+    for (int y0 = from; y0 < past; y0 += kDown) {
+        const int down = std::min(kDown, height - y0);
+        t.any.assign(size_t(wide), 0);
+        for (int y = y0 - share.radius; y < y0 + down + share.radius; ++y)
+            join_row(view.near + y * wide - border, t.any.data(), wide);
+        for (int x0 = 0; x0 < width; x0 += kAcross) {
+            const int n = std::min(kAcross, width - x0);
+            if (std::memchr(t.any.data() + border + x0 - share.radius, 1, size_t(n + 2 * share.radius)))
+                soften_block(view, soft, share, x0, y0, n, down);
+        }
+    }
 }
 
 using Taps1 = ndarray<const float, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
@@ -147,32 +195,13 @@ void soften_clipped(ndarray<const uint8_t, nb::ndim<4>, nb::c_contig, nb::device
         soft.radius > kMostRadius || share.radius > kMostRadius || reach > kMostReach || height < 1 || width < 1)
         throw std::invalid_argument("soften_clipped: shapes do not match");
     nb::gil_scoped_release release;
-    // Both blurs read beyond the image, and beyond it by what is left of the last block.
-    const int border = std::max(soft.radius, share.radius);
-    const ptrdiff_t wide = width + 2 * border + kAcross, high = height + 2 * border + kDown;
+    const Shape shape{half_widths.data(), reach};
     lfrig::parallel_for(count, threads, [&](int v) {
+        static thread_local Scratch scratch;
         int16_t *image = grey.data() + (size_t(v) * rows + pad) * stride + pad;
-        const Clipped clipped(views.data() + size_t(v) * height * width * 3, image, stride, height, width, limit);
-        if (!clipped.any) return;
-        std::vector<uint8_t> near(size_t(high * wide));
-        std::vector<int16_t> own(size_t(high * wide));
-        for (int y = 0; y < height; ++y) {
-            uint8_t *row = near.data() + (y + border) * wide + border;
-            for (int d = -reach; d <= reach; ++d)
-                if (y + d >= 0 && y + d < height && clipped.rows[y + d])
-                    spread_row(clipped.pixels.data() + size_t(y + d) * width, half_widths.data()[d + reach], row, width);
-            std::copy_n(image + ptrdiff_t(y) * stride, width, own.data() + (y + border) * wide + border);
-        }
-        repeat_border(near, height, width, border, wide);
-        repeat_border(own, height, width, border, wide);
-        const ptrdiff_t corner = border * wide + border;
-        const View view{image, stride, own.data() + corner, near.data() + corner, wide};
-        for (int y0 = 0; y0 < height; y0 += kDown)
-            for (int x0 = 0; x0 < width; x0 += kAcross) {
-                const int n = std::min(kAcross, width - x0), down = std::min(kDown, height - y0);
-                if (any_near(view, x0, y0, n, down, share.radius))
-                    soften_block(view, soft, share, x0, y0, n, down);
-            }
+        scratch.clipped.find(views.data() + size_t(v) * height * width * 3, image, stride, height, width, limit);
+        if (scratch.clipped.first >= scratch.clipped.past) return;
+        soften_view(image, stride, height, width, soft, share, shape, scratch);
         for (int y = 0; y < height; ++y) lfrig::extend_row(image + ptrdiff_t(y) * stride - pad, pad, width, stride);
         lfrig::extend_rows(grey.data() + size_t(v) * rows * stride, pad, height, rows, stride);
     });

@@ -7,6 +7,7 @@ void register_band_cost(nb::module_ &m);
 void register_band_peak(nb::module_ &m);
 void register_bundle(nb::module_ &m);
 void register_clipping(nb::module_ &m);
+void register_curve(nb::module_ &m);
 void register_edge_cost(nb::module_ &m);
 void register_edge_snap(nb::module_ &m);
 void register_fusion(nb::module_ &m);
@@ -38,6 +39,7 @@ NB_MODULE(_native, m) {
     register_band_peak(m);
     register_bundle(m);
     register_clipping(m);
+    register_curve(m);
     register_edge_cost(m);
     register_edge_snap(m);
     register_fusion(m);

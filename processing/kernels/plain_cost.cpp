@@ -4,7 +4,9 @@
 #include <nanobind/ndarray.h>
 
 #include <algorithm>
+#include <cstddef>
 #include <cstdint>
+#include <cstring>
 #include <stdexcept>
 #include <vector>
 
@@ -30,31 +32,95 @@ LFRIG_CLONES void scale_row(float *__restrict row, float factor, int width) {
     for (int x = 0; x < width; ++x) row[x] *= factor;
 }
 
+constexpr int kPiece = 64;               // pixels of a row that are summed together
+constexpr int kDown = 16, kAcross = 32;  // pixels whose differences are blurred together
+constexpr int kMostRadius = 32;
+
+// power += (separable blur of view - own)^2, for a block whose first pixel they point to.
+LFRIG_CLONES void add_power(const int16_t *__restrict view, const int16_t *__restrict own, ptrdiff_t stride,
+                            const float *__restrict taps, int radius, float *__restrict power) {
+    float across[kDown + 2 * kMostRadius][kAcross], line[kAcross + 2 * kMostRadius];
+    for (int y = 0; y < kDown + 2 * radius; ++y) {
+        const ptrdiff_t at = (y - radius) * stride - radius;
+        for (int x = 0; x < kAcross + 2 * radius; ++x) line[x] = float(int(view[at + x]) - int(own[at + x]));
+        float *__restrict sum = across[y];
+        for (int x = 0; x < kAcross; ++x) sum[x] = 0;
+        for (int i = 0; i <= 2 * radius; ++i)
+            for (int x = 0; x < kAcross; ++x) sum[x] += taps[i] * line[x + i];
+    }
+    for (int y = 0; y < kDown; ++y) {
+        float sum[kAcross] = {};
+        for (int i = 0; i <= 2 * radius; ++i)
+            for (int x = 0; x < kAcross; ++x) sum[x] += taps[i] * across[y + i][x];
+        for (int x = 0; x < kAcross; ++x) power[y * kAcross + x] += sum[x] * sum[x];
+    }
+}
+
 using Views = ndarray<const int16_t, nb::ndim<3>, nb::c_contig, nb::device::cpu>;
 using Offsets = ndarray<const float, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 using Map = ndarray<float, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 using CMap = ndarray<const float, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 
-// views int16 [V, rows, stride] (grey x 64), the image at (pad, pad); offsets float32 [V, 2] (dr, dc). Sums over the
-// views of dr x and dc x (view - centre) [grey levels], float32 [H, W] each.
-void view_moments(Views views, int centre, int pad, Offsets offsets, Map by_row, Map by_column, int threads) {
+using Wanted = ndarray<const uint8_t, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
+
+// views int16 [V, rows, stride] (grey x 64), the image at (pad, pad); offsets float32 [V, 2] (dr, dc); wanted uint8
+// [H, W]. Sums over the views of dr x and dc x (view - centre) [grey levels], float32 [H, W] each, which are 0 along
+// the pieces of a row without anything wanted.
+void view_moments(Views views, int centre, int pad, Offsets offsets, Wanted wanted, Map by_row, Map by_column,
+                  int threads) {
     const int count = int(views.shape(0)), rows = int(views.shape(1)), stride = int(views.shape(2));
     const int height = int(by_row.shape(0)), width = int(by_row.shape(1));
-    if (int(by_column.shape(0)) != height || int(by_column.shape(1)) != width || rows < height + 2 * pad ||
-        stride < width + 2 * pad || pad < 0 || centre < 0 || centre >= count || int(offsets.shape(0)) != count ||
-        offsets.shape(1) != 2)
+    if (int(by_column.shape(0)) != height || int(by_column.shape(1)) != width || int(wanted.shape(0)) != height ||
+        int(wanted.shape(1)) != width || rows < height + 2 * pad || stride < width + 2 * pad || pad < 0 ||
+        centre < 0 || centre >= count || int(offsets.shape(0)) != count || offsets.shape(1) != 2)
         throw std::invalid_argument("view_moments: shapes do not match");
     nb::gil_scoped_release release;
     lfrig::parallel_for(height, threads, [&](int y) {
         float *r = by_row.data() + size_t(y) * width, *c = by_column.data() + size_t(y) * width;
         std::fill(r, r + width, 0.0f);
         std::fill(c, c + width, 0.0f);
-        auto line = [&](int v) { return views.data() + (size_t(v) * rows + size_t(y + pad)) * stride + pad; };
-        for (int v = 0; v < count; ++v)
-            if (v != centre)
-                add_row(line(v), line(centre), offsets.data()[2 * v], offsets.data()[2 * v + 1], width, r, c);
-        scale_row(r, 1.0f / 64, width);
-        scale_row(c, 1.0f / 64, width);
+        for (int x = 0; x < width; x += kPiece) {
+            const int n = std::min(kPiece, width - x);
+            if (!std::memchr(wanted.data() + size_t(y) * width + x, 1, size_t(n))) continue;
+            auto line = [&](int v) { return views.data() + (size_t(v) * rows + size_t(y + pad)) * stride + pad + x; };
+            for (int v = 0; v < count; ++v)
+                if (v != centre)
+                    add_row(line(v), line(centre), offsets.data()[2 * v], offsets.data()[2 * v + 1], n, r + x, c + x);
+            scale_row(r + x, 1.0f / 64, n);
+            scale_row(c + x, 1.0f / 64, n);
+        }
+    });
+}
+
+// wanted uint8 [H, W]: where the power is asked for; taps float32 [2 r + 1], r at most the margin. The sum over the
+// views of (blurred view - blurred centre)^2 [grey levels^2] to power float32 [H, W], 0 in blocks without any.
+void difference_power(Views views, int centre, int pad,
+                      ndarray<const float, nb::ndim<1>, nb::c_contig, nb::device::cpu> taps, Wanted wanted, Map power,
+                      int threads) {
+    const int count = int(views.shape(0)), rows = int(views.shape(1)), stride = int(views.shape(2));
+    const int height = int(power.shape(0)), width = int(power.shape(1)), radius = int(taps.shape(0)) / 2;
+    if (int(wanted.shape(0)) != height || int(wanted.shape(1)) != width || rows < height + 2 * pad + kDown ||
+        stride < width + 2 * pad + kAcross || centre < 0 || centre >= count || taps.shape(0) % 2 != 1 || radius > pad ||
+        radius > kMostRadius)
+        throw std::invalid_argument("difference_power: shapes do not match");
+    nb::gil_scoped_release release;
+    lfrig::parallel_for((height + kDown - 1) / kDown, threads, [&](int band) {
+        const int y0 = band * kDown, down = std::min(kDown, height - y0);
+        for (int x0 = 0; x0 < width; x0 += kAcross) {
+            const int n = std::min(kAcross, width - x0);
+            bool any = false;
+            for (int y = y0; y < y0 + down && !any; ++y)
+                any = std::memchr(wanted.data() + size_t(y) * width + x0, 1, size_t(n)) != nullptr;
+            float sum[kDown * kAcross] = {};
+            auto block = [&](int v) {
+                return views.data() + (size_t(v) * rows + size_t(y0 + pad)) * stride + pad + x0;
+            };
+            for (int v = 0; any && v < count; ++v)
+                if (v != centre) add_power(block(v), block(centre), stride, taps.data(), radius, sum);
+            for (int y = 0; y < down; ++y)
+                for (int x = 0; x < n; ++x)
+                    power.data()[size_t(y0 + y) * width + x0 + x] = sum[y * kAcross + x] * (1.0f / (64 * 64));
+        }
     });
 }
 
@@ -99,8 +165,10 @@ void blend_plain(ndarray<uint16_t, nb::ndim<3>, nb::c_contig, nb::device::cpu> c
 
 void register_plain_cost(nb::module_ &m) {
     m.def("view_moments", &view_moments, nb::arg("views").noconvert(), nb::arg("centre"), nb::arg("pad"),
-          nb::arg("offsets").noconvert(), nb::arg("by_row").noconvert(), nb::arg("by_column").noconvert(),
-          nb::arg("threads"));
+          nb::arg("offsets").noconvert(), nb::arg("wanted").noconvert(), nb::arg("by_row").noconvert(),
+          nb::arg("by_column").noconvert(), nb::arg("threads"));
+    m.def("difference_power", &difference_power, nb::arg("views").noconvert(), nb::arg("centre"), nb::arg("pad"),
+          nb::arg("taps").noconvert(), nb::arg("wanted").noconvert(), nb::arg("power").noconvert(), nb::arg("threads"));
     m.def("blend_plain", &blend_plain, nb::arg("cost").noconvert(), nb::arg("span").noconvert(),
           nb::arg("disparity").noconvert(), nb::arg("steepness").noconvert(), nb::arg("weight").noconvert(),
           nb::arg("first"), nb::arg("step"), nb::arg("cap"), nb::arg("threads"));

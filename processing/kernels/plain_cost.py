@@ -16,10 +16,18 @@ from lfrig.processing.model import F32
 
 I16 = NDArray[np.int16]
 U16 = NDArray[np.uint16]
+Mask = NDArray[np.bool_]
+
+MOST_RADIUS = 32
 
 
-def view_moments(views: GreyViews, *, threads: int = 0) -> tuple[F32, F32]:
+def view_moments(views: GreyViews, wanted: Mask, *, threads: int = 0) -> tuple[F32, F32]:
     """Σ dr·(I_v − I_centre) and Σ dc·(I_v − I_centre) over all views.
+
+    Parameters
+    ----------
+    wanted : bool [H, W]
+        Elsewhere the sums may be 0 instead.
 
     Returns
     -------
@@ -35,8 +43,43 @@ def view_moments(views: GreyViews, *, threads: int = 0) -> tuple[F32, F32]:
             by_row += offsets[v, 0] * difference
             by_column += offsets[v, 1] * difference
         return by_row / np.float32(SCALE), by_column / np.float32(SCALE)
-    native.view_moments(views.padded, views.centre, views.pad, offsets, by_row, by_column, threads)
+    asked = np.ascontiguousarray(wanted).view(np.uint8)
+    native.view_moments(views.padded, views.centre, views.pad, offsets, asked, by_row, by_column, threads)
     return by_row, by_column
+
+
+def difference_power(views: GreyViews, blur_px: float, wanted: Mask, *, threads: int = 0) -> F32:
+    """Sum over the views of the squared blurred difference from the centre.
+
+    Parameters
+    ----------
+    blur_px : float
+        Standard deviation; the blur ends at the views' margin at the latest.
+    wanted : bool [H, W]
+        Elsewhere the sum may be 0 instead.
+
+    Returns
+    -------
+    float32 [H, W], grey levels squared.
+    """
+    import cv2
+
+    radius = min(views.pad, MOST_RADIUS, max(1, round(4 * blur_px)))
+    taps: F32 = np.ascontiguousarray(cv2.getGaussianKernel(2 * radius + 1, blur_px, cv2.CV_32F)[:, 0])
+    power = np.zeros((views.height, views.width), np.float32)
+    native = load_native("lfrig.processing.kernels._native")
+    if native is not None:
+        asked = np.ascontiguousarray(wanted).view(np.uint8)
+        native.difference_power(views.padded, views.centre, views.pad, taps, asked, power, threads)
+        return power
+    own = views.images[views.centre]
+    for v in views.others():
+        difference = cv2.subtract(views.images[v], own, dtype=cv2.CV_32F)
+        cv2.accumulateSquare(
+            cv2.sepFilter2D(difference, cv2.CV_32F, taps, taps, borderType=cv2.BORDER_REPLICATE), power
+        )
+    power /= np.float32(SCALE**2)
+    return power
 
 
 def blend_plain(

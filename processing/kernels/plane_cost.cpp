@@ -32,8 +32,21 @@ constexpr int kTile = 8;                                // side of the squares t
 constexpr int kPlanes = 16;                             // planes of a block that are swept together
 constexpr int kViews = 8;                               // at most so many views are swept together
 
-LFRIG_CLONES void add_totals(const uint16_t *__restrict part, uint16_t *__restrict total) {
-    for (int i = 0; i < kRows * kLanes; ++i) total[i] = uint16_t(total[i] + part[i]);
+// Sums of the nine parts of the aperture, `stride` apart, to those of all views and of the four halves [5][18 * 32].
+LFRIG_CLONES void join_parts(const uint16_t *__restrict parts, size_t stride, uint16_t *__restrict joined) {
+    constexpr int n = kRows * kLanes;
+    for (int i = 0; i < n; ++i) {
+        const uint16_t *__restrict p = parts + i;
+        const uint16_t upper_left = p[0], upper_right = p[2 * stride], left = p[3 * stride], right = p[5 * stride];
+        const uint16_t lower_left = p[6 * stride], lower_right = p[8 * stride];
+        const uint16_t upper = uint16_t(upper_left + p[stride] + upper_right);
+        const uint16_t lower = uint16_t(lower_left + p[7 * stride] + lower_right);
+        joined[i] = uint16_t(upper + left + p[4 * stride] + right + lower);
+        joined[n + i] = upper;
+        joined[2 * n + i] = lower;
+        joined[3 * n + i] = uint16_t(upper_left + left + lower_left);
+        joined[4 * n + i] = uint16_t(upper_right + right + lower_right);
+    }
 }
 
 // Means over views to the 3 x 3 box's: total [18][32] -> out [16][32], of which 30 columns are meant. `left` and
@@ -134,9 +147,12 @@ void store_lower(const Sweep &s, const uint16_t *from, const uint8_t *edge, int 
         }
 }
 
+constexpr int kParts = 9;  // of the aperture: 3 x 3, by the side of the centre
+
 struct Scratch {
-    uint16_t total[5][kPlanes][kRows * kLanes];  // sums over all views, and over the four halves
-    uint16_t part[kRows * kLanes];
+    uint16_t total[kPlanes][kRows * kLanes];         // sums over all views
+    uint16_t part[kParts][kPlanes][kRows * kLanes];  // likewise, of each part; 0 where it has no views
+    uint16_t joined[5][kRows * kLanes];              // of one plane: all views, and the four halves
     uint16_t boxed[kPlanes][kDown * kLanes], halves[4][kDown * kLanes];
     uint8_t edge[kDown * kLanes];
 };
@@ -151,22 +167,18 @@ bool find_edges(const Sweep &s, int x0, int y0, int n, int rows, uint8_t *edge) 
     return any;
 }
 
-void sum_views(const Sweep &s, ptrdiff_t pixel, int first, int planes, bool halves, Scratch &t) {
-    for (int part = 0; part < (halves ? 5 : 1); ++part)
-        std::memset(t.total[part], 0, sizeof t.total[part][0] * planes);
-    for (const Group &g : s.groups)
+// Sums over the views: of all, or of each part of the aperture.
+void sum_views(const Sweep &s, ptrdiff_t pixel, int first, int planes, bool parts, Scratch &t) {
+    if (!parts) std::memset(t.total, 0, sizeof t.total[0] * planes);
+    for (const Group &g : s.groups) {
+        auto *sums = parts ? t.part[3 * (g.row + 1) + g.column + 1] : t.total;
+        if (parts) std::memset(sums, 0, sizeof sums[0] * planes);
         for (int v = g.begin; v < g.end; v += s.together)
-            for (int k = 0; k < planes; ++k) {
-                const Shift *shifts = s.shifts.data() + size_t(first + k) * s.count + v;
-                uint16_t *sum = halves ? t.part : t.total[0][k];
-                if (halves) std::memset(sum, 0, sizeof t.part);
-                s.accumulate(s.views + pixel, shifts, std::min(s.together, g.end - v), s.stride,
-                             s.centre + (pixel - s.origin), s.cap, s.fold, sum);
-                if (!halves) continue;
-                add_totals(sum, t.total[0][k]);
-                if (g.row) add_totals(sum, t.total[g.row < 0 ? 1 : 2][k]);
-                if (g.column) add_totals(sum, t.total[g.column < 0 ? 3 : 4][k]);
-            }
+            for (int k = 0; k < planes; ++k)
+                s.accumulate(s.views + pixel, s.shifts.data() + size_t(first + k) * s.count + v,
+                             std::min(s.together, g.end - v), s.stride, s.centre + (pixel - s.origin), s.cap, s.fold,
+                             sums[k]);
+    }
 }
 
 void sweep_block(const Sweep &s, int x0, int y0, Scratch &t) {
@@ -182,10 +194,12 @@ void sweep_block(const Sweep &s, int x0, int y0, Scratch &t) {
         const int planes = std::min(kPlanes, last - k0);
         sum_views(s, pixel, k0, planes, halves, t);
         for (int k = 0; k < planes; ++k) {
-            box(t.total[0][k], s.to_mean[0], s.to_out, top, bottom, left, right, t.boxed[k]);
+            if (halves) join_parts(t.part[0][k], kPlanes * kRows * kLanes, t.joined[0]);
+            const uint16_t *all = halves ? t.joined[0] : t.total[k];
+            box(all, s.to_mean[0], s.to_out, top, bottom, left, right, t.boxed[k]);
             if (!halves) continue;
             for (int h = 0; h < 4; ++h)
-                box(t.total[h + 1][k], s.to_mean[h + 1], s.to_out, top, bottom, left, right, t.halves[h]);
+                box(t.joined[h + 1], s.to_mean[h + 1], s.to_out, top, bottom, left, right, t.halves[h]);
             take_halves(t.halves[0], t.edge, s.bias, t.boxed[k]);
         }
         if (s.only_edges)

@@ -1,15 +1,18 @@
-// What a volume of aggregated costs says: its softmax with the windowed mean around the peak, and a summary of it per
-// pixel. Twins: softmax.py.
+// What a volume of aggregated costs says: its softmax with the windowed mean around the peak, also of sums as they
+// leave semi-global matching, and a summary of it per pixel. Twins: softmax.py.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 
 #include <algorithm>
 #include <cstdint>
+#include <cstring>
 #include <stdexcept>
 #include <vector>
 
 #include "lfrig/exponential.hpp"
+#include "lfrig/labels.hpp"
 #include "lfrig/parallel.hpp"
+#include "parts/sgm_arrays.hpp"
 
 namespace nb = nanobind;
 using nb::ndarray;
@@ -18,10 +21,9 @@ namespace {
 
 // Loops run over whole groups of lanes, behind the last plane over costs that count for nothing: sums are kept in as
 // many parts as there are lanes, whatever the vector width, and added in one order.
-constexpr int kLanes = 16;
+using lfrig::kLanes;
+using lfrig::whole_lanes;
 constexpr int kTile = 8;  // side of the squares that spans are given for
-
-int whole(int planes) { return (planes + kLanes - 1) / kLanes * kLanes; }
 
 LFRIG_CLONES uint16_t least(const uint16_t *__restrict cost, int lanes) {
     uint16_t part[kLanes];
@@ -58,6 +60,48 @@ LFRIG_CLONES void quantise(const float *__restrict weight, float scale, int lane
     for (int k = 0; k < lanes; k += kLanes)
         for (int j = 0; j < kLanes; ++j) out[k + j] = uint16_t(int32_t(weight[k + j] * scale + 0.5f));
 }
+
+struct Softmax {
+    float sharpness;
+    int window;           // planes on either side of the peak
+    float *index, *mass;  // of all pixels
+};
+
+// One pixel after the other to its row of a volume.
+class Writer {
+  public:
+    Writer(const Softmax &settings, uint16_t *volume, int planes)
+        : settings_(settings), volume_(volume), planes_(planes), weight_(whole_lanes(planes)),
+          quantised_(whole_lanes(planes)) {}
+
+    // `cost` of the planes `first` to `first + count`, 65535 up to whole lanes; not in the volume.
+    void write(size_t pixel, const uint16_t *cost, int first, int count) {
+        const int lanes = whole_lanes(count), window = settings_.window;
+        const float *weight = weight_.data();
+        const uint16_t low = least(cost, lanes);
+        const float sum = exponentials(cost, low, settings_.sharpness, count, lanes, weight_.data());
+        quantise(weight, 65535.0f / sum, lanes, quantised_.data());
+        const int best = int(std::find(cost, cost + count, low) - cost);
+        float near = 0, moment = 0;
+        for (int k = std::max(0, best - window); k <= std::min(count - 1, best + window); ++k) {
+            near += weight[k];
+            moment += weight[k] * float(k - best);
+        }
+        uint16_t *out = volume_ + pixel * planes_, *past = out + first + count;
+        std::memset(out, 0, sizeof *out * size_t(first));
+        std::memcpy(out + first, quantised_.data(), sizeof *out * size_t(count));
+        std::memset(past, 0, sizeof *out * size_t(planes_ - first - count));
+        settings_.index[pixel] = float(first + best) + moment / near;
+        settings_.mass[pixel] = std::min(1.0f, near / sum);
+    }
+
+  private:
+    const Softmax settings_;
+    uint16_t *volume_;
+    const int planes_;
+    std::vector<float> weight_;
+    std::vector<uint16_t> quantised_;
+};
 
 using Cost = ndarray<const uint16_t, nb::ndim<3>, nb::c_contig, nb::device::cpu>;
 using Span = ndarray<const int16_t, nb::ndim<3>, nb::c_contig, nb::device::cpu>;
@@ -109,35 +153,65 @@ void softmax_peak(ndarray<uint16_t, nb::ndim<3>, nb::c_contig, nb::device::cpu> 
     if (planes < 1 || window < 0) throw std::invalid_argument("softmax_peak: no plane, or a negative window");
     const Planes active(span, int(height), int(width), int(planes));
     uint16_t *data = volume.data();
-    float *peak = index.data(), *mass = confidence.data();
+    const Softmax settings{sharpness, window, index.data(), confidence.data()};
     nb::gil_scoped_release release;
     lfrig::parallel_for(int(height), threads, [&](int y) {
-        const int most = whole(int(planes));
-        std::vector<float> weight(most);
-        std::vector<uint16_t> buffer(most), quantised(most);
+        Writer writer(settings, data, int(planes));
+        std::vector<uint16_t> buffer(whole_lanes(int(planes)));
         for (int x = 0; x < int(width); ++x) {
             int first, n;
             active.of(y, x, &first, &n);
-            const int lanes = whole(n);
             const size_t pixel = size_t(y) * width + x;
-            uint16_t *out = data + pixel * planes;
-            const uint16_t *c = padded(out + first, n, lanes, buffer);
-            const uint16_t low = least(c, lanes);
-            const float sum = exponentials(c, low, sharpness, n, lanes, weight.data());
-            quantise(weight.data(), 65535.0f / sum, lanes, quantised.data());
-            std::fill(out, out + first, uint16_t(0));
-            std::copy(quantised.begin(), quantised.begin() + n, out + first);
-            std::fill(out + first + n, out + planes, uint16_t(0));
-            const int best = int(std::find(c, c + n, low) - c);
-            float near = 0, moment = 0;
-            for (int k = std::max(0, best - window); k <= std::min(n - 1, best + window); ++k) {
-                near += weight[k];
-                moment += weight[k] * float(k - best);
-            }
-            peak[pixel] = float(first + best) + moment / near;
-            mass[pixel] = std::min(1.0f, near / sum);
+            writer.write(pixel, padded(data + pixel * planes + first, n, whole_lanes(n), buffer), first, n);
         }
     });
+}
+
+// Takes sums from semi-global matching and leaves probabilities where the first pass kept its sums.
+class Probabilities {
+  public:
+    Probabilities(const Softmax &settings, const lfrig::SemiGlobal &v, const Planes &active)
+        : v_(v), active_(active), buffer_(v.labels), writer_(settings, v.sum, v.labels) {}
+
+    void place(lfrig::Chunk &chunk) { buffer_.place(chunk); }
+
+    void finished(const lfrig::Chunk &chunk) {
+        for (int i = 0; i < chunk.count; ++i) {
+            const lfrig::Span &span = chunk.span[i];
+            const size_t pixel = chunk.first - i;
+            if (span.first < span.last) {
+                writer_.write(pixel, buffer_.closed(chunk, i) + span.first, span.first, span.last - span.first);
+                continue;
+            }
+            int first, n;  // without any active plane, one is certain
+            active_.of(int(pixel / size_t(v_.width)), int(pixel % size_t(v_.width)), &first, &n);
+            const uint16_t nothing[kLanes] = {};
+            writer_.write(pixel, nothing, first, 1);
+        }
+    }
+
+  private:
+    const lfrig::SemiGlobal &v_;
+    const Planes &active_;
+    lfrig::SumBuffer buffer_;
+    Writer writer_;
+};
+
+// out uint16 [H, W, D], probabilities; index and confidence float32 [H, W]; the others as for `semi_global_of`.
+void sgm_softmax(CU3 cost, CU3 penalty, CI3 span, int p1, int cap, float sharpness, int window,
+                 ndarray<uint16_t, nb::ndim<3>, nb::c_contig, nb::device::cpu> out, Map<float> index,
+                 Map<float> confidence, int threads) {
+    lfrig::SemiGlobal v = semi_global_of(cost, penalty, CI3(), span, p1, cap);
+    const size_t height = cost.shape(0), width = cost.shape(1);
+    if (out.shape(0) != height || out.shape(1) != width || out.shape(2) != cost.shape(2) ||
+        !same(index, height, width) || !same(confidence, height, width))
+        throw std::invalid_argument("sgm_softmax: shapes do not match");
+    if (window < 0 || !(sharpness >= 0)) throw std::invalid_argument("sgm_softmax: a negative window or sharpness");
+    v.sum = out.data();
+    const Planes active(span, v.height, v.width, v.labels);
+    const Softmax settings{sharpness, window, index.data(), confidence.data()};
+    nb::gil_scoped_release release;
+    lfrig::aggregate(v, threads, [&] { return Probabilities(settings, v, active); });
 }
 
 // Per pixel of every `every`-th row and column: lowest and mean cost uint16 [h, w]; best, and first and one past last
@@ -153,14 +227,14 @@ void summarise(Cost cost, Span span, int every, int margin, Map<uint16_t> lowest
     const uint16_t *from = cost.data();
     nb::gil_scoped_release release;
     lfrig::parallel_for(int(down), threads, [&](int row) {
-        std::vector<uint16_t> buffer(whole(int(planes)));
+        std::vector<uint16_t> buffer(whole_lanes(int(planes)));
         for (size_t column = 0; column < across; ++column) {
             int first, n;
             active.of(row * every, int(column) * every, &first, &n);
             const size_t at = size_t(row) * across + column;
             const uint16_t *c = from + (size_t(row) * every * width + column * every) * planes + first;
-            c = padded(c, n, whole(n), buffer);
-            const uint16_t low = least(c, whole(n));
+            c = padded(c, n, whole_lanes(n), buffer);
+            const uint16_t low = least(c, whole_lanes(n));
             const int limit = int(low) + margin;
             int a = 0, b = n - 1;
             while (c[a] > limit) ++a;
@@ -179,6 +253,10 @@ void summarise(Cost cost, Span span, int every, int margin, Map<uint16_t> lowest
 void register_softmax(nb::module_ &m) {
     m.def("softmax_peak", &softmax_peak, nb::arg("volume").noconvert(), nb::arg("span").noconvert(),
           nb::arg("sharpness"), nb::arg("window"), nb::arg("index").noconvert(), nb::arg("confidence").noconvert(),
+          nb::arg("threads"));
+    m.def("sgm_softmax", &sgm_softmax, nb::arg("cost").noconvert(), nb::arg("penalty").noconvert(),
+          nb::arg("span").noconvert(), nb::arg("p1"), nb::arg("cap"), nb::arg("sharpness"), nb::arg("window"),
+          nb::arg("out").noconvert(), nb::arg("index").noconvert(), nb::arg("confidence").noconvert(),
           nb::arg("threads"));
     m.def("summarise", &summarise, nb::arg("cost").noconvert(), nb::arg("span").noconvert(), nb::arg("every"),
           nb::arg("margin"), nb::arg("lowest").noconvert(), nb::arg("mean").noconvert(), nb::arg("best").noconvert(),

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfrig.contracts.native import load_native
+from lfrig.processing.kernels.sgm import Penalties, aggregate_numpy
 from lfrig.processing.model import F32
 
 I16 = NDArray[np.int16]
@@ -50,6 +51,39 @@ def softmax_peak(
     active = NO_SPAN if span is None else np.ascontiguousarray(span, np.int16)
     native.softmax_peak(cost, active, inverse_temperature, window, index, confidence, threads)
     return cost, index, confidence
+
+
+def sgm_softmax(
+    cost: U16,
+    penalties: Penalties,
+    inverse_temperature: float,
+    window: int,
+    *,
+    span: I16 | None = None,
+    threads: int = 0,
+) -> tuple[U16, F32, F32]:
+    """`softmax_peak` of semi-global matching's sums (`sgm.aggregate`), which are never written down.
+
+    Parameters
+    ----------
+    cost : uint16 [H, W, D]
+    penalties : Penalties
+        Of changes of label.
+    span : int16 [ceil(H/8), ceil(W/8), 2], optional
+        Active planes of each tile of 8×8 pixels; a tile without any is certain of one.
+    """
+    native = load_native("lfrig.processing.kernels._native")
+    if native is None:
+        total = aggregate_numpy(cost, penalties, span, None)
+        return softmax_peak_numpy(total, inverse_temperature, window, span)
+    out = np.empty(cost.shape, np.uint16)
+    index, confidence = (np.empty(cost.shape[:2], np.float32) for _ in range(2))
+    active = NO_SPAN if span is None else np.ascontiguousarray(span, np.int16)
+    native.sgm_softmax(
+        np.ascontiguousarray(cost), penalties.jump, active, penalties.step, penalties.cap, inverse_temperature, window,
+        out, index, confidence, threads,
+    )  # fmt: skip
+    return out, index, confidence
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from importlib.util import find_spec
 import numpy as np
 import pytest
 
-from lfrig.processing.kernels import clipping, grey, plain_cost, plane_cost, softmax
+from lfrig.processing.kernels import clipping, grey, plain_cost, plane_cost, sgm, softmax
 from lfrig.processing.kernels.grey import GreyViews, with_margin
 from lfrig.processing.kernels.plane_cost import COST_UNIT, Halves, PlaneGrid
 from tests.processing.kernels.twins import both
@@ -171,16 +171,65 @@ def test_softmax_and_summary(monkeypatch: pytest.MonkeyPatch, shape: tuple[int, 
             assert np.array_equal(getattr(found, name), getattr(expected, name)), name
 
 
+@pytest.mark.parametrize("shape", [(1, 1, 1), (9, 21, 16), (17, 30, 45)])
+@pytest.mark.parametrize("spans", [False, True])
+def test_softmax_of_sums_that_are_never_written(
+    monkeypatch: pytest.MonkeyPatch, shape: tuple[int, int, int], spans: bool
+) -> None:
+    rng = np.random.default_rng(6)
+    cost = rng.integers(0, 3000, shape).astype(np.uint16)
+    cost.flat[0] = 65535
+    guide = rng.integers(0, 256, (*shape[:2], 3)).astype(np.uint8)
+    span = random_span(shape[:2], shape[2]) if spans else None
+    if span is not None:
+        span[-1, -1] = [3, 2]  # no plane is active
+
+    def call(threads: int = 2) -> tuple[np.ndarray, ...]:
+        penalties = sgm.Penalties.of(guide, 40.0, 300.0, 12.0)
+        return softmax.sgm_softmax(cost, penalties, 1 / 500, 3, span=span, threads=threads)
+
+    native, twin = both(monkeypatch, call)
+    assert np.abs(native[0].astype(int) - twin[0]).max() <= 1
+    for found, expected in zip(native[1:], twin[1:], strict=True):
+        np.testing.assert_allclose(found, expected, atol=2e-5)
+    monkeypatch.setenv("LFRIG_NATIVE", "1")
+    for threads in (1, 3):
+        assert all(np.array_equal(a, b) for a, b in zip(call(threads), native, strict=True))
+    total = sgm.aggregate(cost, guide, 40.0, 300.0, 12.0, span=span)
+    two_steps = softmax.softmax_peak(total, 1 / 500, 3, span=span)
+    assert all(np.array_equal(a, b) for a, b in zip(two_steps, native, strict=True))
+
+
 def test_softmax_of_equal_costs_takes_the_first_peak() -> None:
     _, index, mass = softmax.softmax_peak(np.zeros((2, 3, 40), np.uint16), 4.0, 3)
     assert index == pytest.approx(1.5) and mass == pytest.approx(0.1)
 
 
-@pytest.mark.parametrize("shape", [(1, 1), (19, 33)])
+@pytest.mark.parametrize("shape", [(1, 1), (19, 33), (5, 150)])
 def test_sums_over_views(monkeypatch: pytest.MonkeyPatch, shape: tuple[int, int]) -> None:
     views = random_views(shape, side=5)
-    native, twin = both(monkeypatch, lambda: plain_cost.view_moments(views, threads=2))
+    everywhere = np.ones(shape, bool)
+    native, twin = both(monkeypatch, lambda: plain_cost.view_moments(views, everywhere, threads=2))
     assert all(np.array_equal(a, b) for a, b in zip(native, twin, strict=True))
+    monkeypatch.setenv("LFRIG_NATIVE", "1")
+    part = np.random.default_rng(2).random(shape) > 0.97
+    some = plain_cost.view_moments(views, part, threads=1)
+    assert all(np.array_equal(a[part], b[part]) for a, b in zip(some, native, strict=True))
+    assert not np.any(plain_cost.view_moments(views, ~everywhere))
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (19, 33), (40, 70)])
+@pytest.mark.parametrize("blur_px", [0.1, 1.0, 7.0])
+def test_power_of_differences(monkeypatch: pytest.MonkeyPatch, shape: tuple[int, int], blur_px: float) -> None:
+    views = random_views(shape, side=3)
+    everywhere = np.ones(shape, bool)
+    native, twin = both(monkeypatch, lambda: plain_cost.difference_power(views, blur_px, everywhere, threads=2))
+    np.testing.assert_allclose(native, twin, rtol=1e-4, atol=1e-2)
+    monkeypatch.setenv("LFRIG_NATIVE", "1")
+    part = np.random.default_rng(2).random(shape) > 0.99
+    some = plain_cost.difference_power(views, blur_px, part, threads=1)
+    assert np.array_equal(some[part], native[part])
+    assert not plain_cost.difference_power(views, blur_px, ~everywhere).any()
 
 
 def test_costs_of_plain_pixels(monkeypatch: pytest.MonkeyPatch) -> None:
