@@ -18,7 +18,7 @@ from lfrig.processing.geometry import rotation_angle_deg
 from lfrig.processing.model import F64, LightField, Pose
 from lfrig.processing.poses.adjust import Disparity, Reprojection, ResidualBlock, adjust
 from lfrig.processing.poses.arrangement import Arrangement, Line
-from lfrig.processing.poses.priors import PAIR_LIMIT_DEG
+from lfrig.processing.poses.priors import PAIR_LIMIT_DEG, prior_band_px
 from lfrig.processing.poses.sightings import Followed, Looks, directed_pairs, follow_all
 from lfrig.processing.poses.structure import (
     FINE_TOLERANCE,
@@ -32,7 +32,7 @@ from lfrig.processing.poses.structure import (
 )
 from lfrig.processing.poses.tracks import Observations, Pair
 from lfrig.processing.poses.triangulate import reproject, triangulate
-from lfrig.processing.poses.warp_lk import Sighted
+from lfrig.processing.poses.warp_lk import MAX_SHIFT_PX, Sighted
 from lfrig.processing.skipping import SKIP_ALL, Skips, Tally
 
 FLOW_CORNERS = 250
@@ -222,8 +222,8 @@ def settle(
     """Align the strongest corners in every view within reach of a rough solution, and solve again; until that moves
     little.
 
-    Pairs that hardly share a point are followed by flow once more: the first pass need not have seen them. ``known``
-    are pairs that were followed already.
+    Pairs that hardly share a point are followed by flow once more: the first pass need not have seen them, and what is
+    known of the poses may leave them beyond the reach of alignment. ``known`` are pairs that were followed already.
     """
     solved, lost = rough, set[Pair]()
     pairs = directed_pairs(rough.poses, len(looks.reliefs), PAIR_LIMIT_DEG)
@@ -244,7 +244,8 @@ def settle(
         again = bool(lost) or _moved_deg(before, solved.poses) > SETTLED_DEG
         shared = common_points(solved)
         # A pair that flow has just failed for is let go.
-        lost = {p for p in pairs if shared[p] < part * ENOUGH_SHARED and followed.fraction(p) < LOST_FRACTION} - lost
+        few = {p for p in pairs if shared[p] < part * ENOUGH_SHARED and followed.fraction(p) < LOST_FRACTION} - lost
+        lost = {p for p in few if prior_band_px(solved.arrangement, *p) > MAX_SHIFT_PX}
         if not (again or lost):
             break
     return Aligned(solved, followed, part)

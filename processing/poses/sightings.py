@@ -39,23 +39,26 @@ def look_at(
     """Prepare all pictures, corners and disparities; what ``work`` knows of a capture is not made again."""
     pictures, reliefs = [], []
     for source, seen in zip(sources, evidence, strict=True):
-        pictures.append(work.once("picture", (source.views,), partial(picture_of, source.centre_view)))
-        reliefs.append(work.once("relief", (source.views, seen), partial(relief_of, source, seen)))
+        picture = work.once("picture", (source.views,), partial(picture_of, source.centre_view))
+        pictures.append(picture)
+        reliefs.append(work.once("relief", (source.views, seen), partial(relief_of, source, seen, picture)))
         monitor.advance()
     pictures.append(work.once("picture", (target.image,), partial(picture_of, target.image8)))
     return Looks(tuple(pictures), tuple(reliefs))
 
 
-def relief_of(source: LightField, evidence: Evidence) -> Relief:
-    """Corners and surface of one light field."""
-    return Relief(light_field_corners(source, evidence), smoothed(evidence.disparity))
+def relief_of(source: LightField, evidence: Evidence, picture: Picture) -> Relief:
+    """Corners and surface of one light field; ``picture`` is its centre view."""
+    return Relief(light_field_corners(source, evidence, picture=picture), smoothed(evidence.disparity))
 
 
 def smoothed(disparity: F32) -> F32:
     """The depth map as a surface to warp by: without specks, float32 [H, W]."""
     import cv2
 
-    filled = np.where(np.isfinite(disparity), disparity, np.nanmedian(disparity)).astype(np.float32)
+    filled = disparity
+    if not np.isfinite(disparity).all():
+        filled = np.where(np.isfinite(disparity), disparity, np.nanmedian(disparity)).astype(np.float32)
     return np.asarray(cv2.GaussianBlur(cv2.medianBlur(filled, 5), (0, 0), SMOOTH_SIGMA_PX))
 
 
