@@ -135,6 +135,7 @@ def test_correlations_survive_nonsense(monkeypatch: pytest.MonkeyPatch) -> None:
     patches, u, v = rng.uniform(0, 40, (3, 130, 121)).astype(np.float32)
     u[0], u[1], v[2], v[3] = np.nan, 1e12, -1e12, np.inf
     native, twin = both(monkeypatch, lambda: correlation.shifted_correlations(patches, seen, u, v, SHIFTS))
+    monkeypatch.setenv("LFRIG_NATIVE", "1")
     four = correlation.shifted_correlations(patches, seen, u, v, SHIFTS, threads=4)
     np.testing.assert_array_equal(native, correlation.shifted_correlations(patches, seen, u, v, SHIFTS, threads=1))
     np.testing.assert_array_equal(native, four)
