@@ -291,8 +291,8 @@ def _compare(
         return (float("nan"),) * 4
     turns = np.arange(8) * (np.pi / 4)
     aside = max(ASIDE_PX * width / WIDTH, MIN_ASIDE_PX) * np.c_[np.cos(turns), np.sin(turns)]
-    places = np.r_[np.zeros((1, 2)), aside].astype(np.float32)
     here = grey[rows[inside], columns[inside]]
+    places = np.broadcast_to(np.r_[np.zeros((1, 2)), aside][:, None], (9, len(here), 2))
     alike = shifted_correlations(here, picture, u[inside], v[inside], places, threads=1) > ALIKE
     depth = inverse[inside].mean(1)
     near = depth > np.median(depth)

@@ -119,7 +119,7 @@ LFRIG_CLONES void correlate(const Picture &p, const float *patches, const float 
         const float own = dot(count, here, here);
         const Bounds x = bounds_of(pixels, u), y = bounds_of(pixels, v);
         for (int s = 0; s < shift_count; ++s) {
-            const float dx = shifts[2 * s], dy = shifts[2 * s + 1];
+            const float *shift = shifts + 2 * (size_t(s) * patch_count + n), dx = shift[0], dy = shift[1];
             const bool inside = x.low + dx >= 0 && y.low + dy >= 0 && x.high + dx < float(p.width - 1) &&
                                 y.high + dy < float(p.height - 1);
             sample(p, pixels, u, v, dx, dy, inside, there);
@@ -137,14 +137,15 @@ using Table = ndarray<const float, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 void register_correlation(nb::module_ &m) {
     m.def(
         "correlation",
-        [](Table patches, Table picture, Table u, Table v, Table shifts,
+        [](Table patches, Table picture, Table u, Table v,
+           ndarray<const float, nb::ndim<3>, nb::c_contig, nb::device::cpu> shifts,
            ndarray<float, nb::ndim<2>, nb::c_contig, nb::device::cpu> out, int threads) {
             const int count = int(patches.shape(0)), pixels = int(patches.shape(1));
             for (const Table &t : {u, v})
                 if (int(t.shape(0)) != count || int(t.shape(1)) != pixels)
                     throw std::invalid_argument("correlation: places of a wrong shape");
-            if (pixels == 0 || pixels > kMaxPixels || picture.size() == 0 || shifts.shape(1) != 2 ||
-                out.shape(0) != shifts.shape(0) || int(out.shape(1)) != count)
+            if (pixels == 0 || pixels > kMaxPixels || picture.size() == 0 || int(shifts.shape(1)) != count ||
+                shifts.shape(2) != 2 || out.shape(0) != shifts.shape(0) || int(out.shape(1)) != count)
                 throw std::invalid_argument("correlation: shapes do not match");
             const Picture p{picture.data(), int(picture.shape(0)), int(picture.shape(1))};
             nb::gil_scoped_release release;

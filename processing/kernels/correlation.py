@@ -10,7 +10,15 @@ from lfrig.processing.model import F32
 from lfrig.processing.patch import correlation
 
 
-def shifted_correlations(patches: F32, picture: F32, u: F32, v: F32, shifts: F32, *, threads: int = 0) -> F32:
+def shifted_correlations(
+    patches: F32,
+    picture: F32,
+    u: NDArray[np.floating],
+    v: NDArray[np.floating],
+    shifts: NDArray[np.floating],
+    *,
+    threads: int = 0,
+) -> F32:
     """Zero-mean normalised cross-correlation of patches with another picture, in each of some places.
 
     Parameters
@@ -21,8 +29,8 @@ def shifted_correlations(patches: F32, picture: F32, u: F32, v: F32, shifts: F32
         Grey; sampled bilinearly, its border reflected.
     u, v : float32 [N, P]
         Where the picture shows the patches' pixels [px].
-    shifts : float32 [S, 2]
-        By which all of them are moved, x and y [px].
+    shifts : float32 [S, N, 2]
+        By which each patch is moved, x and y [px].
 
     Returns
     -------
@@ -38,15 +46,22 @@ def shifted_correlations(patches: F32, picture: F32, u: F32, v: F32, shifts: F32
 
 
 @np.errstate(over="ignore", invalid="ignore")
-def shifted_correlations_numpy(patches: F32, picture: F32, u: F32, v: F32, shifts: F32) -> F32:
+def shifted_correlations_numpy(
+    patches: F32,
+    picture: F32,
+    u: NDArray[np.floating],
+    v: NDArray[np.floating],
+    shifts: NDArray[np.floating],
+) -> F32:
     """NumPy twin of `shifted_correlations`."""
     if not patches.shape[1] or not picture.size:
         raise ValueError("correlation: empty")
-    found = [correlation(patches, _sampled(picture, u + dx, v + dy)) for dx, dy in np.asarray(shifts, np.float32)]
+    u, v, moves = (np.asarray(a, np.float32) for a in (u, v, shifts[..., None]))
+    found = [correlation(patches, _sampled(picture, u + move[:, 0], v + move[:, 1])) for move in moves]
     return np.asarray(found, np.float32).reshape(len(shifts), len(patches))
 
 
-def _sampled(picture: F32, u: F32, v: F32) -> F32:
+def _sampled(picture: F32, u: NDArray[np.floating], v: NDArray[np.floating]) -> F32:
     """Bilinear values at places of any shape; the border is reflected."""
     height, width = picture.shape
     x, y = (np.clip(np.where(np.isnan(c), -n, c), -n, 2 * n).astype(np.float32) for c, n in ((u, width), (v, height)))

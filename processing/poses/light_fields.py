@@ -18,7 +18,7 @@ from lfrig.processing.geometry import rotation_angle_deg
 from lfrig.processing.model import F64, LightField, Pose
 from lfrig.processing.poses.adjust import Disparity, Reprojection, ResidualBlock, adjust
 from lfrig.processing.poses.arrangement import Arrangement, Line
-from lfrig.processing.poses.priors import PAIR_LIMIT_DEG, prior_band_px
+from lfrig.processing.poses.priors import PAIR_LIMIT_DEG
 from lfrig.processing.poses.sightings import Followed, Looks, directed_pairs, follow_all
 from lfrig.processing.poses.structure import (
     FINE_TOLERANCE,
@@ -32,7 +32,7 @@ from lfrig.processing.poses.structure import (
 )
 from lfrig.processing.poses.tracks import Observations, Pair
 from lfrig.processing.poses.triangulate import reproject, triangulate
-from lfrig.processing.poses.warp_lk import MAX_SHIFT_PX, Sighted
+from lfrig.processing.poses.warp_lk import Sighted
 from lfrig.processing.skipping import SKIP_ALL, Skips, Tally
 
 FLOW_CORNERS = 250
@@ -80,8 +80,12 @@ def recorded_line(source: LightField, captures: int) -> Line | None:
     baseline, focus = source.optics.baseline_m, source.optics.focus_distance_m
     if baseline is None or focus is None:
         return None
-    sigma = max(OPTICS_FLOOR, source.optics.sigma_baseline)
-    return Line(baseline, 1 / focus, sigma * float(np.sqrt(2 * captures)))
+    return Line(baseline, 1 / focus, optics_sigma(source) * float(np.sqrt(2 * captures)))
+
+
+def optics_sigma(source: LightField) -> float:
+    """Relative standard deviation of a recorded baseline or focus distance."""
+    return max(OPTICS_FLOOR, source.optics.sigma_baseline)
 
 
 def with_lines(arrangement: Arrangement, lines: Sequence[Line | None]) -> Arrangement:
@@ -208,10 +212,11 @@ def second_pass(
     looks: Looks, rough: Structure, depth_range_m: tuple[float, float], effort: Effort, known: Known = NOTHING_KNOWN
 ) -> Aligned:
     """Align all corners in every view within reach of a solution that a fraction of them has settled (`settle`)."""
-    settled = settle(looks, rough, depth_range_m, effort, known).structure
+    placed = settle(looks, rough, depth_range_m, effort, known)
+    settled = placed.structure
     arrangement, x = settled.arrangement, settled.parameters
     pairs = directed_pairs(settled.poses, len(looks.reliefs), PAIR_LIMIT_DEG)
-    followed = follow_all(looks, arrangement, x, pairs, depth_range_m, known=known)
+    followed = follow_all(looks, arrangement, x, pairs, depth_range_m, known={**placed.followed.by_pair, **known})
     solved = adjust_light_fields(arrangement, x, followed.seen, depth_range_m, ALIGN_SCHEDULE, effort)
     return Aligned(solved, followed)
 
@@ -222,8 +227,8 @@ def settle(
     """Align the strongest corners in every view within reach of a rough solution, and solve again; until that moves
     little.
 
-    Pairs that hardly share a point are followed by flow once more: the first pass need not have seen them, and what is
-    known of the poses may leave them beyond the reach of alignment. ``known`` are pairs that were followed already.
+    Pairs that hardly share a point are followed by flow once more: the first pass need not have seen them. ``known``
+    are pairs that were followed already.
     """
     solved, lost = rough, set[Pair]()
     pairs = directed_pairs(rough.poses, len(looks.reliefs), PAIR_LIMIT_DEG)
@@ -244,8 +249,7 @@ def settle(
         again = bool(lost) or _moved_deg(before, solved.poses) > SETTLED_DEG
         shared = common_points(solved)
         # A pair that flow has just failed for is let go.
-        few = {p for p in pairs if shared[p] < part * ENOUGH_SHARED and followed.fraction(p) < LOST_FRACTION} - lost
-        lost = {p for p in few if prior_band_px(solved.arrangement, *p) > MAX_SHIFT_PX}
+        lost = {p for p in pairs if shared[p] < part * ENOUGH_SHARED and followed.fraction(p) < LOST_FRACTION} - lost
         if not (again or lost):
             break
     return Aligned(solved, followed, part)
