@@ -80,7 +80,7 @@ def _search(warp: Warp, here: Small, there: Small, sigma: float) -> ScaleFit | N
     """The light field's scale by what another picture shows of its corners; None where that tells too little."""
     scale, corners = warp.scale, warp.relief.corners
     spread = sigma * np.hypot(scale.a * corners.disparity, scale.c) + scale.a * DISPARITY_SIGMA_PX
-    expected = scale.inverse_depth(corners.disparity)
+    expected = scale.a * corners.disparity + scale.c
     ends = np.stack([warp.at(corners.xy, expected + side * REACH_SIGMAS * spread) for side in (-1, 1)])
     told = np.flatnonzero(np.isfinite(ends).all((0, 2)))
     if len(told) < MIN_FOUND:
@@ -117,8 +117,8 @@ def _likeness(warp: Warp, here: Small, there: Small, rows: NDArray[np.intp], dep
     height, width = here.even.shape
     x = np.clip(at[:, :1] + window.dx, 0, width - 1).astype(np.intp)
     y = np.clip(at[:, 1:] + window.dy, 0, height - 1).astype(np.intp)
-    # The middle of a pixel of the small picture is not the corner itself. Both pictures have shrunk alike: the derivative
-    # is that of the full ones.
+    # The middle of a pixel of the small picture is not the corner itself. Both pictures have shrunk alike: derivatives
+    # are those of the full ones.
     off = (at - here.from_full(ground.xy))[:, :, None] + np.stack([window.dx, window.dy])
     places = start[:, :, None] + affine @ off
     return shifted_correlations(
