@@ -17,7 +17,7 @@ WINDOW_SIGMA = 0.6
 ALIGN_HALF_PX = 6
 ALIGNMENT = Alignment(shift_passes=2, slant_passes=3, max_step_px=1.5)
 NORMALISE_SIGMA_PX = 6.0
-SHRINK = 4
+SHRINK = 3
 CONTRAST, LEAST_VARIANCE = 48.0, 9.0
 """Of normalised pictures: their standard deviation; the variance below which it is less."""
 
@@ -64,7 +64,7 @@ def cut(detail: F32, xy: F64, window: Window) -> Patches:
 def normalised(grey: F32) -> NDArray[np.uint8]:
     """The image without local brightness and contrast, uint8 [H, W] around 128: what exposure cannot change.
 
-    Both are so smooth that they are measured in an image of a quarter of the size.
+    Both are so smooth that they are measured in an image a third as wide.
     """
     import cv2
 
