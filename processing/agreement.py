@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 from lfrig.contracts.errors import GeometryRefused
 from lfrig.contracts.progress import Monitor
 from lfrig.processing.geometry import project, projection
+from lfrig.processing.kernels.correlation import shifted_correlations
 from lfrig.processing.model import F32, F64, U8, Camera, Photo, Pose, Source
-from lfrig.processing.patch import correlation, patch_window
+from lfrig.processing.patch import patch_window
 from lfrig.processing.tone import NO_TEXTURE_GREY
 
 if TYPE_CHECKING:
@@ -280,17 +281,19 @@ def _compare(
     and both for the half, near or far, that does worse.
     """
     xs, ys = patches[..., 0], patches[..., 1]
-    inverse = source.scale.inverse_depth(source.evidence.disparity[ys.astype(int), xs.astype(int)])
+    rows, columns = ys.astype(np.intp), xs.astype(np.intp)
+    inverse = source.scale.inverse_depth(source.evidence.disparity[rows, columns])
     u, v, _ = project(*projection(source.camera, source.pose, *there), xs, ys, inverse)
     height, width = picture.shape
     with np.errstate(invalid="ignore"):
         inside = ((u >= 0) & (v >= 0) & (u <= width - 1) & (v <= height - 1)).all(1)
     if inside.sum() < MIN_PATCHES:
         return (float("nan"),) * 4
-    here, u, v = grey[ys[inside].astype(int), xs[inside].astype(int)], u[inside], v[inside]
     turns = np.arange(8) * (np.pi / 4)
-    aside = max(ASIDE_PX * width / WIDTH, MIN_ASIDE_PX) * np.c_[np.cos(turns), np.sin(turns)].astype(np.float32)
-    alike = np.stack([_alike(here, picture, u + dx, v + dy) for dx, dy in [(0, 0), *aside]])
+    aside = max(ASIDE_PX * width / WIDTH, MIN_ASIDE_PX) * np.c_[np.cos(turns), np.sin(turns)]
+    here = grey[rows[inside], columns[inside]]
+    places = np.broadcast_to(np.r_[np.zeros((1, 2)), aside][:, None], (9, len(here), 2))
+    alike = shifted_correlations(here, picture, u[inside], v[inside], places, threads=1) > ALIKE
     depth = inverse[inside].mean(1)
     near = depth > np.median(depth)
     whole = _verdict(alike)
@@ -302,10 +305,3 @@ def _verdict(alike: NDArray[np.bool_]) -> tuple[float, float]:
     """Share and advantage of patches [9, N] compared in their places and in eight aside."""
     share = alike.mean(1)
     return float(share[0]), float(share[0] - share[1:].max())
-
-
-def _alike(here: F32, picture: F32, u: F32, v: F32) -> NDArray[np.bool_]:
-    import cv2
-
-    seen = cv2.remap(picture, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
-    return np.asarray(correlation(here, seen) > ALIKE, np.bool_)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from lfrig.contracts.errors import GeometryRefused
 from lfrig.contracts.progress import Monitor
+from lfrig.processing.kernels.line_fit import TUKEY, LinePrior, biweight_line, least_median_line
 from lfrig.processing.model import F64, Anchors, Camera, Evidence, LightField, ScaleFit
 
 MIN_ANCHORS = 8
@@ -86,35 +87,14 @@ def fit_affine(
     """
     if len(disparity) < 2 or np.ptp(disparity) <= 0:
         raise _refusal("flat-anchors", "all anchors have the same disparity", "")
-    slope, offset = _least_median_start(disparity, inverse_depth, prior)
-    floor = 1e-9 * float(np.abs(inverse_depth).max() + 1e-12)
-    share = min(1.0, EFFECTIVE_ANCHORS / len(disparity)) if prior else 1.0
-    scale = floor
-    for _ in range(iterations):
-        residual = inverse_depth - (slope * disparity + offset)
-        scale = 1.4826 * float(np.median(np.abs(residual))) + floor
-        weights: F64 = np.clip(1 - (residual / (4.685 * scale)) ** 2, 0, None) ** 2
-        mean = float(np.average(disparity, weights=weights))
-        # Unknowns: slope and the level at the mean disparity.
-        centred = disparity - mean
-        normal = share / scale**2 * np.diag([float((weights * centred**2).sum()), float(weights.sum())])
-        right = (
-            share / scale**2 * np.array([(weights * centred * inverse_depth).sum(), (weights * inverse_depth).sum()])
-        )
-        if prior:
-            # c = level − mean·a, so the prior of c is a row (−mean, 1) in these unknowns.
-            rows = np.array([[1.0, 0.0], [-mean, 1.0]]) / np.array([[prior.sigma_a], [prior.sigma_c]])
-            normal = normal + rows.T @ rows
-            right = right + rows.T @ np.array([prior.a / prior.sigma_a, prior.c / prior.sigma_c])
-        if normal[0, 0] <= 0:
-            break
-        new_slope, level = (float(v) for v in np.linalg.solve(normal, right))
-        new_offset = level - new_slope * mean
-        moved = abs(new_slope - slope) * float(np.abs(centred).max()) + abs(new_offset - offset)
-        slope, offset = new_slope, new_offset
-        if moved < SETTLED * scale:
-            break
-    inlier = np.abs(inverse_depth - (slope * disparity + offset)) < 4.685 * scale
+    start = _least_median_start(disparity, inverse_depth, prior)
+    found = biweight_line(
+        disparity, inverse_depth, start, share=min(1.0, EFFECTIVE_ANCHORS / len(disparity)) if prior else 1.0,
+        floor=1e-9 * float(np.abs(inverse_depth).max() + 1e-12), settled=SETTLED, iterations=iterations,
+        prior=None if prior is None else LinePrior(prior.a, prior.c, 1 / prior.sigma_a**2, 1 / prior.sigma_c**2),
+    )  # fmt: skip
+    slope, offset, scale = found.tolist()
+    inlier = np.abs(inverse_depth - (slope * disparity + offset)) < TUKEY * scale
     return ScaleFit(slope, offset, scale, float(inlier.mean()), len(disparity), "affine")
 
 
@@ -135,8 +115,7 @@ def _least_median_start(
         near = (np.abs(slopes - prior.a) < 4 * prior.sigma_a) & (np.abs(offsets - prior.c) < 4 * prior.sigma_c)
         slopes, offsets = np.r_[slopes[near], prior.a], np.r_[offsets[near], prior.c]
     pick = slice(None, None, max(1, len(disparity) // 400))
-    residual = np.abs(inverse_depth[pick] - slopes[:, None] * disparity[pick] - offsets[:, None])
-    best = int(np.median(residual, axis=1).argmin())
+    best = least_median_line(disparity[pick], inverse_depth[pick], slopes, offsets)
     return float(slopes[best]), float(offsets[best])
 
 

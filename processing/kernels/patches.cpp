@@ -27,6 +27,7 @@ constexpr int kMaxPixels = 256;   // of a patch, whole lanes
 constexpr int kChannels = 4;      // of a picture: grey, its slopes, and nothing
 constexpr int kUnknowns = 4;      // shift and slant
 constexpr int kPointsPerItem = 64;
+constexpr int kRun = 16;  // longest row of a square patch that is copied as a whole
 
 using Four = float __attribute__((vector_size(16)));  // one pixel of a picture
 
@@ -39,6 +40,7 @@ LFRIG_INLINE Four load(const float *p) {
 struct Window {  // offsets and weights of a patch's pixels; those that fill the last lanes have no weight
     int count = 0;
     int reach = 0;  // furthest whole pixel
+    int side = 0;   // of a square of whole pixels in order of rows; 0 = another shape
     float dx[kMaxPixels], dy[kMaxPixels], weight[kMaxPixels];
     int col[kMaxPixels], row[kMaxPixels];
 };
@@ -246,7 +248,7 @@ struct Reference {
 LFRIG_INLINE void compare_view(const uint8_t *picture, int height, int width, double x, double y, float ox, float oy,
                          const Window &w, const Reference &ref, float robust, float &slope, float &right) {
     alignas(64) float error[kMaxPixels];
-    alignas(64) uint8_t at[4][kMaxPixels];
+    alignas(64) uint8_t at[4][kMaxPixels + kRun] = {};
     // A patch is not turned or stretched: all its pixels lie at the same fraction between theirs.
     x = x > -1e6 ? std::min(x, 1e6) : -1e6;
     y = y > -1e6 ? std::min(y, 1e6) : -1e6;
@@ -254,10 +256,22 @@ LFRIG_INLINE void compare_view(const uint8_t *picture, int height, int width, do
     const float fx = float(x - x0), fy = float(y - y0);
     float lanes[kLanes] = {};
     if (x0 >= w.reach && y0 >= w.reach && x0 + w.reach + 1 < width && y0 + w.reach + 1 < height) {
-        const uint8_t *middle = picture + size_t(y0) * width + x0;
-        for (int k = 0; k < w.count; ++k) {
-            const uint8_t *p = middle + w.row[k] * width + w.col[k], *q = p + width;
-            at[0][k] = p[0], at[1][k] = p[1], at[2][k] = q[0], at[3][k] = q[1];
+        const uint8_t *middle = picture + size_t(y0) * width + x0, *last = picture + size_t(height) * width;
+        const uint8_t *corner = middle - w.reach * width - w.reach;
+        if (w.side > 0 && corner + size_t(w.side) * width + kRun + 1 <= last) {
+            // Whole runs: what is too much of one is overwritten by the next.
+            for (int j = 0; j < w.side; ++j) {
+                const uint8_t *p = corner + size_t(j) * width, *q = p + width;
+                std::memcpy(at[0] + j * w.side, p, kRun);
+                std::memcpy(at[1] + j * w.side, p + 1, kRun);
+                std::memcpy(at[2] + j * w.side, q, kRun);
+                std::memcpy(at[3] + j * w.side, q + 1, kRun);
+            }
+        } else {
+            for (int k = 0; k < w.count; ++k) {
+                const uint8_t *p = middle + w.row[k] * width + w.col[k], *q = p + width;
+                at[0][k] = p[0], at[1][k] = p[1], at[2][k] = q[0], at[3][k] = q[1];
+            }
         }
     } else {
         for (int k = 0; k < w.count; ++k) {
@@ -294,7 +308,7 @@ LFRIG_INLINE void compare_view(const uint8_t *picture, int height, int width, do
 
 LFRIG_CLONES void disparity_range(const Views &views, const Window &w, const float *grey, const float *slope_x,
                                   const float *slope_y, int pixels, const double *xy, int passes, double max_step,
-                                  double robust, double *disparity, double *last, int begin, int end) {
+                                  double settled, double robust, double *disparity, double *last, int begin, int end) {
     alignas(64) Sampled patch = {};
     for (int n = begin; n < end; ++n) {
         std::copy(grey + size_t(n) * pixels, grey + size_t(n + 1) * pixels, patch.grey);
@@ -311,6 +325,7 @@ LFRIG_CLONES void disparity_range(const Views &views, const Window &w, const flo
             }
             last[n] = -double(right) / double(slope);
             disparity[n] += std::clamp(last[n], -max_step, max_step);
+            if (std::fabs(last[n]) < settled) break;
         }
     }
 }
@@ -334,6 +349,11 @@ Window window_of(const Line &dx, const Line &dy, const Line &weight) {
         w.row[k] = int(w.dy[k]);
         w.reach = std::max({w.reach, std::abs(w.col[k]), std::abs(w.row[k])});
     }
+    const int side = 2 * w.reach + 1;
+    bool square = pixels == side * side && side <= kRun;
+    for (int k = 0; square && k < pixels; ++k)
+        square = w.col[k] == k % side - w.reach && w.row[k] == k / side - w.reach;
+    w.side = square ? side : 0;
     return w;
 }
 
@@ -368,7 +388,7 @@ void register_patches(nb::module_ &m) {
         "patches_disparity",
         [](ndarray<const uint8_t, nb::ndim<3>, nb::c_contig, nb::device::cpu> pictures, Points offsets, Patch grey,
            Patch slope_x, Patch slope_y, Line dx, Line dy, Line weight, Points xy, int passes, double max_step,
-           double robust, ndarray<double, nb::ndim<1>, nb::c_contig, nb::device::cpu> disparity,
+           double settled, double robust, ndarray<double, nb::ndim<1>, nb::c_contig, nb::device::cpu> disparity,
            ndarray<double, nb::ndim<1>, nb::c_contig, nb::device::cpu> last, int threads) {
             const size_t count = xy.shape(0), pixels = dx.shape(0);
             for (const Patch &p : {grey, slope_x, slope_y})
@@ -384,7 +404,7 @@ void register_patches(nb::module_ &m) {
             const int items = int((count + kPointsPerItem - 1) / kPointsPerItem);
             lfrig::parallel_for(items, threads, [&](int item) {
                 disparity_range(views, w, grey.data(), slope_x.data(), slope_y.data(), int(pixels), xy.data(), passes,
-                                max_step, robust, disparity.data(), last.data(), item * kPointsPerItem,
+                                max_step, settled, robust, disparity.data(), last.data(), item * kPointsPerItem,
                                 std::min(int(count), (item + 1) * kPointsPerItem));
             });
         },

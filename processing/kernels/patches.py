@@ -17,8 +17,8 @@ from lfrig.processing.patch import slopes
 
 SLANT_RIDGE = 0.01
 SETTLED_PX = 0.002
-"""A pass that moves a point by less is its last of that kind; a slant that changes by less moves no pixel of a patch by
-more than a hundredth."""
+"""A pass that moves a point by less is its last of that kind, as is one that changes a disparity by less; a slant that
+changes by less moves no pixel of a patch by more than a hundredth."""
 
 
 @dataclass(frozen=True)
@@ -137,7 +137,7 @@ def follow_disparities(
     native.patches_disparity(
         np.ascontiguousarray(pictures), np.ascontiguousarray(offsets, np.float64),
         *(np.ascontiguousarray(r, np.float32) for r in reference), window.dx, window.dy, window.weight,
-        np.ascontiguousarray(xy, np.float64), passes, max_step_px, robust_grey, disparity, step, threads,
+        np.ascontiguousarray(xy, np.float64), passes, max_step_px, SETTLED_PX, robust_grey, disparity, step, threads,
     )  # fmt: skip
     return disparity, step
 
@@ -212,17 +212,20 @@ def follow_disparities_numpy(
     grey, slope_x, slope_y = reference
     flat = np.broadcast_to(np.eye(2), (len(xy), 2, 2))
     disparity, step = start.astype(np.float64), np.zeros(len(start))
+    rows = np.arange(len(xy))
     for _ in range(passes):
-        slope, right = np.full(len(xy), 1e-9), np.zeros(len(xy))
+        slope, right = np.full(len(rows), 1e-9), np.zeros(len(rows))
         for offset, picture in zip(offsets, pictures, strict=True):
-            seen = _sampled(picture[..., None].astype(np.float32), xy - offset * disparity[:, None], flat, window)
-            error = _centred(seen[..., 0] - grey, window.weight)
-            derivative = -(np.float32(offset[0]) * slope_x + np.float32(offset[1]) * slope_y)
+            places = xy[rows] - offset * disparity[rows, None]
+            seen = _sampled(picture[..., None].astype(np.float32), places, flat[rows], window)
+            error = _centred(seen[..., 0] - grey[rows], window.weight)
+            derivative = -(np.float32(offset[0]) * slope_x[rows] + np.float32(offset[1]) * slope_y[rows])
             weight = window.weight / (1 + (error / np.float32(robust_grey)) ** 2)
             slope += np.einsum("nk,nk->n", weight * derivative, derivative)
             right += np.einsum("nk,nk->n", weight * derivative, error)
-        step = -right / slope
-        disparity += np.clip(step, -max_step_px, max_step_px)
+        step[rows] = -right / slope
+        disparity[rows] += np.clip(step[rows], -max_step_px, max_step_px)
+        rows = rows[~(np.abs(step[rows]) < SETTLED_PX)]
     return disparity, step
 
 

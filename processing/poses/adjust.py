@@ -76,11 +76,9 @@ class Disparity:
 
     def sightings(self) -> Sightings:
         """See `ResidualBlock`."""
-        none = np.zeros(len(self.point))
-        return Sightings(
-            self.point.astype(np.int32), self.view.astype(np.int32),
-            np.c_[none, none, self.disparity], np.c_[none, 1 / self.sigma],
-        )  # fmt: skip
+        measured, inverse_sigma = np.zeros((len(self.point), 3)), np.zeros((len(self.point), 2))
+        measured[:, 2], inverse_sigma[:, 1] = self.disparity, 1 / self.sigma
+        return Sightings(self.point.astype(np.int32), self.view.astype(np.int32), measured, inverse_sigma)
 
     def linearise(
         self, cameras: Sequence[Camera], poses: Sequence[Pose], points: F64, lines: Sequence[Line | None] = ()

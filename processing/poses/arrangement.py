@@ -75,19 +75,19 @@ class Arrangement:
         """Number of parameters, held ones included."""
         return 6 * len(self.mounts) + 10 * len(self.views)
 
-    @property
+    @cached_property
     def turns(self) -> slice:
         """Where the turns are."""
         start = 6 * len(self.mounts)
         return slice(start, start + len(self.views))
 
-    @property
+    @cached_property
     def log_focals(self) -> slice:
         """Where the logarithms of the focal corrections are."""
         start = self.turns.stop + 6 * len(self.views)
         return slice(start, start + len(self.views))
 
-    @property
+    @cached_property
     def log_lines(self) -> slice:
         """Where the logarithms of the lines' corrections are, two per view."""
         return slice(self.log_focals.stop, self.size)

@@ -12,8 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from lfrig.processing.kernels.patches import follow_disparities
-from lfrig.processing.model import F32, F64, U8, Evidence, LightField
-from lfrig.processing.poses.patches import cut, normalised, square
+from lfrig.processing.model import F64, U8, Evidence, LightField
+from lfrig.processing.poses.patches import cut, square
+from lfrig.processing.poses.picture import Picture, grey8_of, picture_of
 
 MAX_CORNERS = 800
 QUALITY = 0.002
@@ -51,29 +52,21 @@ class Corners:
         return Corners(self.xy[:count], self.disparity[:count])
 
 
-def find_corners(grey: F32, limit: int = MAX_CORNERS) -> F64:
-    """Corners of a grey image float32 [H, W] after local normalisation (dim parts have theirs too), [N, 2] px."""
+def find_corners(even: U8, limit: int = MAX_CORNERS) -> F64:
+    """Corners of a locally normalised image uint8 [H, W] (dim parts have theirs too), [N, 2] px."""
     import cv2
 
-    found = cv2.goodFeaturesToTrack(normalised(grey), limit, QUALITY, SPACING_PX, blockSize=BLOCK_PX)
+    found = cv2.goodFeaturesToTrack(even, limit, QUALITY, SPACING_PX, blockSize=BLOCK_PX)
     return np.zeros((0, 2)) if found is None else found.reshape(-1, 2).astype(np.float64)
 
 
-def light_field_corners(light_field: LightField, evidence: Evidence, limit: int = MAX_CORNERS) -> Corners:
-    """Corners of the centre view with their disparities."""
-    xy = find_corners(grey_of(light_field.centre_view), limit)
-    return Corners(xy, corner_disparities(light_field, evidence, xy))
-
-
-def grey_of(image: U8) -> F32:
-    """Grey image float32 [H, W] of RGB uint8 [H, W, 3]."""
-    return _grey8(image).astype(np.float32)
-
-
-def _grey8(image: U8) -> U8:
-    import cv2
-
-    return np.asarray(cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2GRAY), np.uint8)
+def light_field_corners(
+    light_field: LightField, evidence: Evidence, limit: int = MAX_CORNERS, *, picture: Picture | None = None
+) -> Corners:
+    """Corners of the centre view with their disparities; ``picture`` is that view, where it was prepared already."""
+    picture = picture_of(light_field.centre_view) if picture is None else picture
+    xy = find_corners(picture.even, limit)
+    return Corners(xy, corner_disparities(light_field, evidence, xy, picture))
 
 
 def rim_views(rows: int, cols: int, centre: tuple[int, int]) -> list[tuple[int, int]]:
@@ -82,8 +75,9 @@ def rim_views(rows: int, cols: int, centre: tuple[int, int]) -> list[tuple[int, 
     return [(centre[0] + dr, centre[1] + dc) for dr in reach[0] for dc in reach[1] if dr or dc]
 
 
-def corner_disparities(light_field: LightField, evidence: Evidence, xy: F64) -> F64:
+def corner_disparities(light_field: LightField, evidence: Evidence, xy: F64, picture: Picture) -> F64:
     """Disparities of corners [N, 2] px, float64 [N] px per view step; NaN where none is found near the depth map's.
+    ``picture`` is the centre view.
 
     Brightness may differ from view to view (vignetting): each patch is compared without its mean.
     """
@@ -97,10 +91,10 @@ def corner_disparities(light_field: LightField, evidence: Evidence, xy: F64) -> 
     rows, cols = light_field.angular
     centre = light_field.centre_index
     rim = rim_views(rows, cols, centre)
-    pictures = np.stack([_grey8(light_field.views[v]) for v in rim])
+    pictures = np.stack([grey8_of(light_field.views[v]) for v in rim])
     offsets = np.array([(c - centre[1], r - centre[0]) for r, c in rim], np.float64)
     window = square(DISPARITY_HALF_PX)
-    reference = cut(grey_of(light_field.centre_view), xy, window)
+    reference = cut(picture.detail, xy, window)
     disparity, step = follow_disparities(
         pictures, offsets, (reference.grey, reference.slope_x, reference.slope_y), window, xy,
         np.where(known, start, 0.0), passes=DISPARITY_PASSES, max_step_px=MAX_STEP_PX, robust_grey=ROBUST_GREY,

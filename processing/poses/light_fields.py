@@ -15,6 +15,7 @@ import numpy as np
 
 from lfrig.contracts.progress import Monitor
 from lfrig.processing.geometry import rotation_angle_deg
+from lfrig.processing.kernels.bundle import NEAR
 from lfrig.processing.model import F64, LightField, Pose
 from lfrig.processing.poses.adjust import Disparity, Reprojection, ResidualBlock, adjust
 from lfrig.processing.poses.arrangement import Arrangement, Line
@@ -27,11 +28,11 @@ from lfrig.processing.poses.structure import (
     Structure,
     coarseness,
     common_points,
-    gate_sightings,
+    gate_in,
     noise_of,
 )
 from lfrig.processing.poses.tracks import Observations, Pair
-from lfrig.processing.poses.triangulate import reproject, triangulate
+from lfrig.processing.poses.triangulate import reproject_into, triangulate_from
 from lfrig.processing.poses.warp_lk import Sighted
 from lfrig.processing.skipping import SKIP_ALL, Skips, Tally
 
@@ -80,8 +81,12 @@ def recorded_line(source: LightField, captures: int) -> Line | None:
     baseline, focus = source.optics.baseline_m, source.optics.focus_distance_m
     if baseline is None or focus is None:
         return None
-    sigma = max(OPTICS_FLOOR, source.optics.sigma_baseline)
-    return Line(baseline, 1 / focus, sigma * float(np.sqrt(2 * captures)))
+    return Line(baseline, 1 / focus, optics_sigma(source) * float(np.sqrt(2 * captures)))
+
+
+def optics_sigma(source: LightField) -> float:
+    """Relative standard deviation of a recorded baseline or focus distance."""
+    return max(OPTICS_FLOOR, source.optics.sigma_baseline)
 
 
 def with_lines(arrangement: Arrangement, lines: Sequence[Line | None]) -> Arrangement:
@@ -102,15 +107,15 @@ def adjust_light_fields(
 ) -> Structure:
     """Triangulate, and adjust by reprojection and disparity with falling noise levels; at last by the noise found."""
     x, result, noise = start, None, NOISE_BOUNDS_PX[1]
-    points = triangulate(arrangement.cameras(x), arrangement.poses(x), seen)
+    views = arrangement.linearise(x)[0]
+    points = triangulate_from(views, seen)
     for level in (*schedule, None):
-        cameras, poses = arrangement.cameras(x), arrangement.poses(x)
         if level is None:
-            noise, sigma = noise_of(reproject(cameras, poses, seen, points)[0], seen), DISPARITY_SIGMA_PX
+            noise, sigma = noise_of(reproject_into(views, seen, points)[0], seen), DISPARITY_SIGMA_PX
         else:
             noise, sigma = level
-        good = gate_sightings(cameras, poses, seen, points, noise, depth_range_m)
-        good &= ~_contradicted(arrangement, x, seen, points, REJECT_DISPARITY * sigma)[seen.point]
+        good = gate_in(views, seen, points, noise, depth_range_m)
+        good &= ~_contradicted(views, seen, points, REJECT_DISPARITY * sigma)[seen.point]
         seen, kept = seen.keep(good)
         points = points[kept]
         if seen.count < ENOUGH_POINTS:
@@ -124,6 +129,7 @@ def adjust_light_fields(
             tally=effort.tally,
         )  # fmt: skip
         x, points = result.parameters, result.points
+        views = arrangement.linearise(x)[0]
         effort.monitor.advance(0)
     covariance = np.zeros((arrangement.size, arrangement.size)) if result is None else result.covariance
     return Structure(arrangement, x, seen, points, noise, covariance)
@@ -137,21 +143,22 @@ def _told(seen: Observations) -> np.ndarray:
     return np.flatnonzero(np.isfinite(_disparity(seen)))
 
 
-def disparity_residual(arrangement: Arrangement, x: F64, seen: Observations, points: F64) -> F64:
-    """Expected minus found disparity of every sighting [M] px, NaN where none was found."""
+def disparity_residual(views: F64, seen: Observations, points: F64) -> F64:
+    """Expected minus found disparity of every sighting [M] px, NaN where none was found; views [V, 17] as of
+    `bundle.view_table`.
+    """
     out = np.full(len(seen), np.nan)
     told = _told(seen)
-    block = Disparity(seen.point[told], seen.view[told], _disparity(seen)[told], np.ones(len(told)))
-    cameras, poses = arrangement.cameras(x), arrangement.poses(x)
-    out[told] = block.linearise(cameras, poses, points, arrangement.lines(x)).residual[:, 0]
+    own = views[seen.view[told]]
+    depth = np.einsum("ma,ma->m", own[:, 6:9], points[seen.point[told]]) + own[:, 11]
+    out[told] = own[:, 12] * own[:, 15] * (1 / np.maximum(depth, NEAR) - own[:, 16]) - _disparity(seen)[told]
     return out
 
 
-def _contradicted(arrangement: Arrangement, x: F64, seen: Observations, points: F64, limit_px: float) -> np.ndarray:
+def _contradicted(views: F64, seen: Observations, points: F64, limit_px: float) -> np.ndarray:
     """Which points [count] lie where their own light field says otherwise."""
     wrong = np.zeros(seen.count, bool)
-    residual = disparity_residual(arrangement, x, seen, points)
-    wrong[seen.point[np.abs(residual) > limit_px]] = True
+    wrong[seen.point[np.abs(disparity_residual(views, seen, points)) > limit_px]] = True
     return wrong
 
 
@@ -208,10 +215,11 @@ def second_pass(
     looks: Looks, rough: Structure, depth_range_m: tuple[float, float], effort: Effort, known: Known = NOTHING_KNOWN
 ) -> Aligned:
     """Align all corners in every view within reach of a solution that a fraction of them has settled (`settle`)."""
-    settled = settle(looks, rough, depth_range_m, effort, known).structure
+    placed = settle(looks, rough, depth_range_m, effort, known)
+    settled = placed.structure
     arrangement, x = settled.arrangement, settled.parameters
     pairs = directed_pairs(settled.poses, len(looks.reliefs), PAIR_LIMIT_DEG)
-    followed = follow_all(looks, arrangement, x, pairs, depth_range_m, known=known)
+    followed = follow_all(looks, arrangement, x, pairs, depth_range_m, known={**placed.followed.by_pair, **known})
     solved = adjust_light_fields(arrangement, x, followed.seen, depth_range_m, ALIGN_SCHEDULE, effort)
     return Aligned(solved, followed)
 

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from lfrig.processing.kernels.patches import Alignment, Window, align_patches
 from lfrig.processing.model import F32, F64
-from lfrig.processing.patch import slopes
 
 WINDOW_SIGMA = 0.6
 """Width of a patch's Gaussian weight, as a fraction of its half width."""
@@ -18,6 +17,9 @@ WINDOW_SIGMA = 0.6
 ALIGN_HALF_PX = 6
 ALIGNMENT = Alignment(shift_passes=2, slant_passes=3, max_step_px=1.5)
 NORMALISE_SIGMA_PX = 6.0
+SHRINK = 3
+CONTRAST, LEAST_VARIANCE = 48.0, 9.0
+"""Of normalised pictures: their standard deviation; the variance below which it is less."""
 
 
 @dataclass(frozen=True)
@@ -30,11 +32,11 @@ class Patches:
 
 
 def sample(picture: F32, x: NDArray[np.floating], y: NDArray[np.floating]) -> F32:
-    """Bilinear values of an image float32 [H, W] at pixels, any shape [A, B]; the border is replicated."""
+    """Bilinear values of an image float32 [H, W] or [H, W, C] at pixels, any shape [A, B]; the border is replicated."""
     import cv2
 
     if not x.size:
-        return np.zeros(x.shape, np.float32)
+        return np.zeros((*x.shape, *picture.shape[2:]), np.float32)
     u, v = np.ascontiguousarray(x, np.float32), np.ascontiguousarray(y, np.float32)
     return np.asarray(cv2.remap(picture, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.float32)
 
@@ -53,22 +55,28 @@ def square(half: int) -> Window:
     return Window(dx, dy, np.asarray(weight / weight.sum(), np.float32))
 
 
-def cut(picture: F32, xy: F64, window: Window) -> Patches:
-    """Patches around points [N, 2] of an image float32 [H, W]."""
-    x, y = xy[:, :1] + window.dx, xy[:, 1:] + window.dy
-    slope_x, slope_y = slopes(picture)
-    return Patches(sample(picture, x, y), sample(slope_x, x, y), sample(slope_y, x, y))
+def cut(detail: F32, xy: F64, window: Window) -> Patches:
+    """Patches around points [N, 2] of a picture and its slopes float32 [H, W, 4] (`with_slopes`)."""
+    patches = sample(detail, xy[:, :1] + window.dx, xy[:, 1:] + window.dy)
+    return Patches(*(np.ascontiguousarray(patches[..., channel]) for channel in range(3)))
 
 
 def normalised(grey: F32) -> NDArray[np.uint8]:
-    """The image without local brightness and contrast, uint8 [H, W] around 128: what exposure cannot change."""
+    """The image without local brightness and contrast, uint8 [H, W] around 128: what exposure cannot change.
+
+    Both are so smooth that they are measured in an image a third as wide.
+    """
     import cv2
 
-    blur = (0, 0), NORMALISE_SIGMA_PX
-    mean = cv2.GaussianBlur(grey, *blur)
-    variance = np.maximum(cv2.GaussianBlur(grey * grey, *blur) - mean * mean, 0)
-    even = np.clip((grey - mean) / np.sqrt(variance + 9) * 48 + 128, 0, 255)
-    return np.asarray(even, np.uint8)
+    height, width = grey.shape
+    size = max(1, round(width / SHRINK)), max(1, round(height / SHRINK))
+    mean, square_mean = (
+        cv2.GaussianBlur(cv2.resize(p, size, interpolation=cv2.INTER_AREA), (0, 0), NORMALISE_SIGMA_PX / SHRINK)
+        for p in (grey, cv2.multiply(grey, grey))
+    )
+    gain = CONTRAST / np.sqrt(np.maximum(square_mean - mean * mean, 0) + LEAST_VARIANCE)
+    gain, level = (cv2.resize(p, (width, height)) for p in (gain, 128 - mean * gain))
+    return np.asarray(cv2.add(cv2.multiply(grey, gain), level, dtype=cv2.CV_8U), np.uint8)
 
 
 def align(

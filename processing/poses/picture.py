@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from lfrig.processing.kernels.patches import with_slopes
 from lfrig.processing.model import F32, F64, U8
-from lfrig.processing.poses.corners import grey_of
 from lfrig.processing.poses.patches import normalised
 
 
@@ -59,6 +58,18 @@ class Small:
     def from_full(self, xy: F64) -> F64:
         """The reverse of `full`."""
         return np.asarray((xy + 0.5) / self.pixel - 0.5, np.float64)
+
+
+def grey_of(image: U8) -> F32:
+    """Grey image float32 [H, W] of RGB uint8 [H, W, 3]."""
+    return grey8_of(image).astype(np.float32)
+
+
+def grey8_of(image: U8) -> U8:
+    """The same as uint8."""
+    import cv2
+
+    return np.asarray(cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2GRAY), np.uint8)
 
 
 def picture_of(image: U8) -> Picture:

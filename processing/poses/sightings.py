@@ -39,23 +39,26 @@ def look_at(
     """Prepare all pictures, corners and disparities; what ``work`` knows of a capture is not made again."""
     pictures, reliefs = [], []
     for source, seen in zip(sources, evidence, strict=True):
-        pictures.append(work.once("picture", (source.views,), partial(picture_of, source.centre_view)))
-        reliefs.append(work.once("relief", (source.views, seen), partial(relief_of, source, seen)))
+        picture = work.once("picture", (source.views,), partial(picture_of, source.centre_view))
+        pictures.append(picture)
+        reliefs.append(work.once("relief", (source.views, seen), partial(relief_of, source, seen, picture)))
         monitor.advance()
     pictures.append(work.once("picture", (target.image,), partial(picture_of, target.image8)))
     return Looks(tuple(pictures), tuple(reliefs))
 
 
-def relief_of(source: LightField, evidence: Evidence) -> Relief:
-    """Corners and surface of one light field."""
-    return Relief(light_field_corners(source, evidence), smoothed(evidence.disparity))
+def relief_of(source: LightField, evidence: Evidence, picture: Picture) -> Relief:
+    """Corners and surface of one light field; ``picture`` is its centre view."""
+    return Relief(light_field_corners(source, evidence, picture=picture), smoothed(evidence.disparity))
 
 
 def smoothed(disparity: F32) -> F32:
     """The depth map as a surface to warp by: without specks, float32 [H, W]."""
     import cv2
 
-    filled = np.where(np.isfinite(disparity), disparity, np.nanmedian(disparity)).astype(np.float32)
+    filled = disparity
+    if not np.isfinite(disparity).all():
+        filled = np.where(np.isfinite(disparity), disparity, np.nanmedian(disparity)).astype(np.float32)
     return np.asarray(cv2.GaussianBlur(cv2.medianBlur(filled, 5), (0, 0), SMOOTH_SIGMA_PX))
 
 
@@ -105,28 +108,43 @@ def follow_all(
     """Follow the corners of the first view of each (directed) pair into the second; with ``flow`` where the prediction
     may be poor. ``limit`` takes the strongest corners only; what is ``known`` of a pair is kept where it still holds.
     """
-    cameras, poses, lines = arrangement.cameras(x), arrangement.poses(x), arrangement.lines(x)
-    stations = [Station(c, p) for c, p in zip(cameras, poses, strict=True)]
-    limits = 1 / depth_range_m[1], 1 / depth_range_m[0]
+    reliefs = looks.reliefs if limit is None else [relief.first(limit) for relief in looks.reliefs]
+    warps = warps_of(reliefs, arrangement, x, pairs, depth_range_m)
     tables, by_pair = [], {}
-    for j, relief in enumerate(looks.reliefs):
-        line = lines[j]
-        others = [i for k, i in pairs if k == j]
-        if line is None or not others:
+    for j, relief in enumerate(reliefs):
+        others = [i for k, i in warps if k == j]
+        if not others:
             continue
-        if limit is not None:
-            relief = relief.first(limit)
-        places = np.full((len(relief.corners), len(poses), 2), np.nan)
+        places = np.full((len(relief.corners), len(arrangement.views), 2), np.nan)
         places[:, j] = relief.corners.xy
         likeness = np.ones(places.shape[:2])
         for i in others:
-            warp = Warp(relief, line.scale(cameras[j]), stations[j], stations[i], limits)
-            before = known.get((j, i))
-            sighted = follow(warp, looks.pictures[j], looks.pictures[i], flow=(j, i) in flow, before=before)
+            pair = j, i
+            sighted = follow(
+                warps[pair], looks.pictures[j], looks.pictures[i], flow=pair in flow, before=known.get(pair)
+            )
             places[:, i], likeness[:, i] = sighted.xy, sighted.likeness
-            by_pair[j, i] = sighted
+            by_pair[pair] = sighted
         tables.append((j, places, coarseness_of(likeness), relief.corners.disparity))
     return Followed(_observations(tables), by_pair)
+
+
+def warps_of(
+    reliefs: Sequence[Relief],
+    arrangement: Arrangement,
+    x: F64,
+    pairs: Sequence[Pair],
+    depth_range_m: tuple[float, float],
+) -> dict[Pair, Warp]:
+    """From light fields that have a line into other views, by (directed) pair."""
+    cameras, poses, lines = arrangement.cameras(x), arrangement.poses(x), arrangement.lines(x)
+    stations = [Station(c, p) for c, p in zip(cameras, poses, strict=True)]
+    limits = 1 / depth_range_m[1], 1 / depth_range_m[0]
+    return {
+        (j, i): Warp(reliefs[j], line.scale(cameras[j]), stations[j], stations[i], limits)
+        for j, i in pairs
+        if (line := lines[j]) is not None
+    }
 
 
 def coarseness_of(likeness: F64) -> F64:

@@ -15,7 +15,7 @@ from lfrig.processing.poses.arrangement import Arrangement
 from lfrig.processing.poses.guide import Guide
 from lfrig.processing.poses.matching import Gallery, Matches
 from lfrig.processing.poses.tracks import Observations, Pair, build_tracks
-from lfrig.processing.poses.triangulate import ray_angle_deg, reproject, triangulate
+from lfrig.processing.poses.triangulate import ray_angle_from, reproject, reproject_into, triangulate, views_of
 
 FINE_SCALE_PX = 2.0
 """Up to this keypoint scale SIFT's position error is constant; beyond, it grows in proportion (measured)."""
@@ -87,11 +87,19 @@ def gate_sightings(
     depth_range_m: tuple[float, float],
 ) -> NDArray[np.bool_]:
     """Sightings [M] that fit: small residual, depth in range, and a point whose rays meet at a usable angle."""
-    residual, depth = reproject(cameras, poses, seen, points)
-    error = np.linalg.norm(residual, axis=1) / coarseness(seen)
+    return gate_in(views_of(cameras, poses), seen, points, noise_px, depth_range_m)
+
+
+def gate_in(
+    views: F64, seen: Observations, points: F64, noise_px: float, depth_range_m: tuple[float, float]
+) -> NDArray[np.bool_]:
+    """The same, in views [V, 17] (see `bundle.view_table`)."""
+    residual, depth = reproject_into(views, seen, points)
+    error = np.hypot(*residual.T) / coarseness(seen)
     near, far = depth_range_m
     good = (error < REJECT_SIGMAS * noise_px) & (depth > near) & (depth < far)
-    return np.asarray(good & (ray_angle_deg(poses, seen, points) > MIN_RAY_ANGLE_DEG)[seen.point], np.bool_)
+    centres = -np.einsum("vab,va->vb", views[:, :9].reshape(-1, 3, 3), views[:, 9:12])
+    return np.asarray(good & (ray_angle_from(centres, seen, points) > MIN_RAY_ANGLE_DEG)[seen.point], np.bool_)
 
 
 def refine(

@@ -109,7 +109,7 @@ class Warp:
         inverse = np.clip(self.scale.inverse_depth(disparity), *self.limits).astype(np.float32)
         # Pixels of the half-size pictures as pixels of the full ones, and back.
         up, down = here.to_full, np.linalg.inv(there.to_full)
-        matrix, offset = self._projection()
+        matrix, offset = self._projection
         m, t = (part.astype(np.float32) for part in (down @ matrix @ up, down @ offset))
         x, y = np.arange(width, dtype=np.float32)[None], np.arange(height, dtype=np.float32)[:, None]
         z = np.maximum(m[2, 0] * x + m[2, 1] * y + m[2, 2] + t[2] * inverse, np.float32(1e-3))
@@ -124,7 +124,7 @@ class Warp:
         inverse = self.scale.a * ground.disparity + self.scale.c
         clipped = np.clip(inverse, *self.limits)
         slope = np.where((inverse == clipped)[:, None], self.scale.a * ground.slope, 0.0)
-        matrix, offset = self._projection()
+        matrix, offset = self._projection
         p = ground.xy @ matrix[:, :2].T + matrix[:, 2] + clipped[:, None] * offset
         z = np.where(np.abs(p[:, 2]) < 1e-6, 1e-6, p[:, 2])
         there = p[:, :2] / z[:, None]
@@ -136,6 +136,14 @@ class Warp:
         there[p[:, 2] <= 0] = np.nan
         return there, affine, along
 
+    def at(self, xy: F64, inverse_depth: F64) -> F64:
+        """Where points [N, 2] go at inverse depths [..., N], float64 [..., N, 2]; NaN behind the other view."""
+        matrix, offset = self._projection
+        p = xy @ matrix[:, :2].T + matrix[:, 2] + inverse_depth[..., None] * offset
+        z = np.where(p[..., 2:] > 1e-6, p[..., 2:], np.nan)
+        return np.asarray(p[..., :2] / z, np.float64)
+
+    @cached_property
     def _projection(self) -> tuple[F64, F64]:
         return projection(self.here.camera, self.here.pose, self.there.camera, self.there.pose)
 
@@ -184,16 +192,19 @@ class Sighted:
 def follow(warp: Warp, here: Picture, there: Picture, *, flow: bool, before: Sighted | None = None) -> Sighted:
     """Where the light field's corners appear in another picture.
 
-    With ``flow`` the prediction may be off by tens of pixels; without, by a few. What was found ``before``, of these
-    corners or more, is handed back where the prediction has hardly changed since.
+    With ``flow`` the prediction may be off by tens of pixels; without, by a few. What was found ``before``, of the
+    first of these corners or of more, is handed back where the prediction has hardly changed since.
     """
     corners = warp.relief.corners
-    count = len(corners)
-    if before is not None and not flow and count <= len(before.xy):
-        kept = before if count == len(before.xy) else before.first(count)
-        if kept.still_holds(warp):
-            return kept
+    count, done = len(corners), 0
     found, alike = np.full((count, 2), np.nan), np.zeros(count, np.float32)
+    if before is not None and not flow:
+        kept = before if count >= len(before.xy) else before.first(count)
+        if kept.still_holds(warp):
+            done = len(kept.xy)
+            if done == count:
+                return kept
+            found[:done], alike[:done] = kept.xy, kept.likeness
     if not count:
         return Sighted(found, alike, found, np.zeros(0, bool))
     start, affine, along = warp.points(warp.relief.ground)
@@ -206,7 +217,7 @@ def follow(warp: Warp, here: Picture, there: Picture, *, flow: bool, before: Sig
         # Where the flow says that the corner went in the warped picture, and from there on into the true one.
         start, affine, along = warp.points(warp.relief.ground_at(moved))
         good = kept_rows & np.isfinite(start).all(1) & _usable(start, affine, there.shape)
-    rows = np.flatnonzero(good)
+    rows = done + np.flatnonzero(good[done:])
     if len(rows):
         xy, likeness = align(here.detail, there.detail, corners.xy[rows], start[rows], affine[rows], along[rows])
         near = np.hypot(*(xy - start[rows]).T) < MAX_SHIFT_PX

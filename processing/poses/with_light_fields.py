@@ -215,7 +215,7 @@ def solved_scales(structure: Structure, sources: int) -> tuple[ScaleFit | None, 
     seen = structure.seen
     if seen.disparity is None:
         return (None,) * sources
-    residual = disparity_residual(structure.arrangement, structure.parameters, seen, structure.points)
+    residual = disparity_residual(structure.arrangement.linearise(structure.parameters)[0], seen, structure.points)
     scales: list[ScaleFit | None] = []
     for v in range(sources):
         line, own = lines[v], np.isfinite(residual) & (seen.view == v)

@@ -7,9 +7,10 @@ import pytest
 
 from lfrig.processing.kernels.patches import with_slopes
 from lfrig.processing.model import LightField
-from lfrig.processing.poses.corners import corner_disparities, find_corners, grey_of, light_field_corners, rim_views
+from lfrig.processing.poses.corners import corner_disparities, find_corners, light_field_corners, rim_views
 from lfrig.processing.poses.patches import align as align_pictures
 from lfrig.processing.poses.patches import normalised
+from lfrig.processing.poses.picture import picture_of
 
 
 def align(first, second, *places):
@@ -80,7 +81,7 @@ def test_normalised_pictures_forget_exposure(picture):
 
 
 def test_no_corners_in_a_constant_picture():
-    assert find_corners(np.full((40, 50), 90.0, np.float32)).shape == (0, 2)
+    assert find_corners(np.full((40, 50), 90, np.uint8)).shape == (0, 2)
 
 
 @pytest.mark.parametrize(("rows", "cols"), [(3, 3), (5, 3), (4, 7), (15, 15)])
@@ -111,5 +112,6 @@ def test_disparities_far_from_the_depth_map_are_not_told(light_still):
         evidence.probability, evidence.planes_px, light_still.evidence[0].disparity + np.float32(0.5),
         evidence.confidence,
     )  # fmt: skip
-    xy = find_corners(grey_of(source.centre_view), 100)
-    assert np.isnan(corner_disparities(source, wrong, xy)).mean() > 0.9
+    picture = picture_of(source.centre_view)
+    xy = find_corners(picture.even, 100)
+    assert np.isnan(corner_disparities(source, wrong, xy, picture)).mean() > 0.9
