@@ -65,9 +65,9 @@ class FusionSettings:
     colour_weight: float = 1.5
     colour_noise_share: float = 0.2
     """How fast that weight falls per grey level of noise: colours must not outshout light fields that noise weakens."""
-    colour_plane_px: float = 0.0074
-    """Where a plane is less than this of the sources' disparity (small pictures), light fields say less per plane, and
-    the weight falls with its square: a texture that repeats would win."""
+    colour_range_px: float = 0.94
+    """Where all depths span less than this of the sources' disparity (small pictures), light fields tell depths apart
+    less well, and the weight falls with its square: a texture that repeats would win."""
     colour_sigma_grey: float = 10.0
     colour_cap: float = 3.0
     colour_reach: float = 6.0
@@ -171,7 +171,7 @@ def fuse(
         rough = _rough_surface(ready, shape, (w0, dw), pool, threads)
         with_mask = marked(photo, settings.colour_blur_px)
         ready = _with_colours(ready, sources, with_mask, rough, (camera, pose), settings)
-        colour = _colour_term(sources, dw, settings)
+        colour = _colour_term(sources, w1 - w0, settings)
     rule = SurfaceRule(
         _gap_planes(sources, dw, planes, settings), settings.surface_tau, settings.surface_beta, settings.surface_cap
     )
@@ -242,9 +242,9 @@ def _with_colours(
     return found
 
 
-def _colour_term(sources: Sequence[Source], dw: float, settings: FusionSettings) -> ColourTerm:
+def _colour_term(sources: Sequence[Source], length: float, settings: FusionSettings) -> ColourTerm:
     weight = settings.colour_weight / (1 + settings.colour_noise_share * usual_noise(sources))
-    weight *= min(1.0, _plane_px(sources, dw) / settings.colour_plane_px) ** 2
+    weight *= min(1.0, length / usual_slope(sources) / settings.colour_range_px) ** 2
     return ColourTerm(
         weight, settings.colour_sigma_grey, settings.colour_cap, settings.colour_unknown, settings.colour_reach
     )

@@ -32,6 +32,10 @@ class WideBaselineSettings:
 
     enabled: bool = True
     labels: int = 16
+    small_width: int = 200
+    small_labels: int = 32
+    """In pictures less wide than that: before a wall that stands still, or at poses that are a little wrong, more of
+    their surface lies further from the truth than half of the usual band, and the wider one costs little."""
     step_px: float = 1.0
     """Between labels, in pixels of the source that moves most."""
     radius: int = 4
@@ -48,6 +52,10 @@ class WideBaselineSettings:
     support_px: float = 0.06
     accept_cost: float = 0.8
     accept_seen: float = 0.4
+
+    def labels_of(self, width: int) -> int:
+        """In a picture so wide [px]."""
+        return self.small_labels if width < self.small_width else self.labels
 
     @property
     def unit(self) -> int:
@@ -113,7 +121,7 @@ def refine_wide(
     )  # fmt: skip
     label, best, margin, curvature = band_peak(cost, total, threads=threads)
     best /= np.float32(unit)
-    moved = surface.value + np.float32(step) * (label - np.float32(settings.labels // 2))
+    moved = surface.value + np.float32(step) * (label - np.float32(cost.shape[2] // 2))
     there = [land(moved, s, camera, pose, threads=threads) for s in sources]
     agreeing = count_agreeing(there, settings.support_px)
     accepted = (agreeing > 0) & (seen > settings.accept_seen) & (best < settings.accept_cost)
@@ -146,7 +154,8 @@ def _cost(
     patch = Patch(settings.radius, settings.stride, settings.sigma_grey, settings.cap)
     start = time.process_time()
     cost = band_cost(
-        luma(photo), photo, views, (surface.value, surface.slope_x, surface.slope_y), step, settings.labels, patch,
+        luma(photo), photo, views, (surface.value, surface.slope_x, surface.slope_y), step,
+        settings.labels_of(photo.shape[1]), patch,
         least_visible=LEAST_VISIBLE if skips.sources else -1.0, unit=settings.unit, threads=threads,
     )  # fmt: skip
     if tally is not None:
