@@ -76,10 +76,13 @@ def test_the_original_comes_back_when_the_block_fails(tmp_path: Path) -> None:
 
 
 def test_a_replay_starts_from_the_same_inputs_each_time() -> None:
-    cost = np.random.default_rng(1).integers(0, 5000, (11, 13, 9)).astype(np.uint16)
+    rng = np.random.default_rng(1)
+    cost = rng.integers(0, 5000, (11, 13, 9)).astype(np.uint16)
     before = cost.copy()
-    in_place = Spot("peak", "lfrig.processing.kernels.softmax", "softmax_peak", in_place=(0,))
-    replay = Replay(in_place, Call((cost, 1e-3, 2), {}))
+    disparity, steepness, weight = (rng.uniform(0, most, (11, 13)).astype(np.float32) for most in (1.0, 1e5, 1.0))
+    in_place = Spot("blend", "lfrig.processing.kernels.plain_cost", "blend_plain", in_place=(0,))
+    arguments = (cost, plane_cost.PlaneGrid(-0.5, 0.2, 9), disparity, steepness, weight, 4000.0)
+    replay = Replay(in_place, Call(arguments, {}))
     found = []
     for _ in range(2):
         replay.reset()
