@@ -233,14 +233,16 @@ def test_ratios_are_promised_at_full_size_with_avx512() -> None:
 def calls(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Calls of all kernels on a small case, and their bits."""
     folder = tmp_path_factory.mktemp("calls")
-    kernels_bits.write_folder(folder, SMALL)
+    with native_switched(True):
+        kernels_bits.write_folder(folder, SMALL)
     return folder
 
 
 @needs_native
 @pytest.mark.slow
 def test_the_same_bits_for_any_number_of_threads(calls: Path) -> None:
-    found = kernels_bits.check_folder(calls)
+    with native_switched(True):
+        found = kernels_bits.check_folder(calls)
     assert len(found) >= 10 and all(found.values()), found
 
 
@@ -256,7 +258,8 @@ def test_other_bits_are_noticed(calls: Path) -> None:
 
 @needs_native
 @pytest.mark.slow
-def test_the_benchmark_end_to_end(tmp_path: Path) -> None:
+def test_the_benchmark_end_to_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("LFRIG_NATIVE", "1")
     chosen = [kernel for kernel in KERNELS if kernel.name in ("warp", "softmax", "unpack")]
     document = kernels.run(tmp_path, threads=1, sizes=["quarter"], kernels=chosen, runs=2)
     rows = [row for row in document.rows if row["kind"] == "kernel"]
