@@ -212,7 +212,7 @@ KERNELS = (
     Kernel(_spot("views", "layered_views", "layered_views"), "layered synthesis of 48 views", None, 1.0, ties=2e-3),
     Kernel(_spot("peel", "rims", "peel"), "background under depth steps", None, 1e-3),
     Kernel(_spot("patches", "patches", "align_patches"), "patches aligned", None, 1e-2),
-    Kernel(_spot("flow", "patches", "follow_disparities"), "corners followed through the views", None, 1e-2),
+    Kernel(_spot("flow", "corner_disparity", "follow_disparities"), "corners followed through the views", None, 1e-2),
     Kernel(_spot("correlation", "correlation", "shifted_correlations"), "patches compared elsewhere", None, 1e-3),
     Kernel(_spot("line-fit", "line_fit", "biweight_line"), "robust line through anchors", None, 1e-9, relative=True),
     Kernel(_spot("rig-chain", "rig_chain", "rig_chain"), "rig chain and its derivatives", None, 1e-9),

@@ -83,7 +83,7 @@ class Matching:
     def probability(
         self, cost: U16, picture: U8, noise: float, window: int, *, span: I16 | None = None, threads: int = 0
     ) -> tuple[U16, F32, F32]:
-        """The same on planes ``step_px`` apart, and what its sums say: see `softmax_peak`."""
+        """The same on planes ``step_px`` apart, and what its sums say: see `sgm_softmax`."""
         penalties = Penalties.of(picture, *self._penalties(noise, self.step_px), self.edge_grey, threads=threads)
         return sgm_softmax(cost, penalties, self.sharpness(noise), window, span=span, threads=threads)
 

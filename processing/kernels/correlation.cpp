@@ -8,21 +8,13 @@
 #include <stdexcept>
 
 #include "lfrig/parallel.hpp"
-
-// Into the function with clones, so that it is compiled for each of their instruction sets.
-#if defined(__GNUC__)
-#define LFRIG_INLINE inline __attribute__((always_inline))
-#else
-#define LFRIG_INLINE inline
-#endif
+#include "parts/patch_sums.hpp"
 
 namespace nb = nanobind;
 using nb::ndarray;
 
 namespace {
 
-constexpr int kLanes = 16;       // sums are kept in so many parts: the same bits for every vector width
-constexpr int kMaxPixels = 256;  // of a patch, whole lanes
 constexpr int kPatchesPerItem = 64;
 constexpr float kLeastScale = 1e-3f;  // a patch without contrast is like nothing
 
@@ -35,12 +27,6 @@ struct Bounds {
     float low, high;
 };
 
-LFRIG_INLINE float sum_of(const float *lanes) {
-    float total = 0;
-    for (int l = 0; l < kLanes; ++l) total += lanes[l];
-    return total;
-}
-
 // Takes the mean of its first ``pixels`` values out of a patch whose last lanes are filled with zeros.
 LFRIG_INLINE void centre(int pixels, int count, float *values) {
     float lanes[kLanes] = {};
@@ -48,13 +34,6 @@ LFRIG_INLINE void centre(int pixels, int count, float *values) {
         for (int l = 0; l < kLanes; ++l) lanes[l] += values[k + l];
     const float mean = sum_of(lanes) / float(pixels);
     for (int k = 0; k < pixels; ++k) values[k] -= mean;
-}
-
-LFRIG_INLINE float dot(int count, const float *a, const float *b) {
-    float lanes[kLanes] = {};
-    for (int k = 0; k < count; k += kLanes)
-        for (int l = 0; l < kLanes; ++l) lanes[l] += a[k + l] * b[k + l];
-    return sum_of(lanes);
 }
 
 LFRIG_INLINE Bounds bounds_of(int pixels, const float *values) {
@@ -110,7 +89,7 @@ LFRIG_INLINE void sample(const Picture &p, int pixels, const float *us, const fl
 
 LFRIG_CLONES void correlate(const Picture &p, const float *patches, const float *us, const float *vs, int pixels,
                             const float *shifts, int shift_count, int patch_count, float *out, int begin, int end) {
-    const int count = (pixels + kLanes - 1) / kLanes * kLanes;
+    const int count = whole_lanes(pixels);
     alignas(64) float here[kMaxPixels] = {}, there[kMaxPixels] = {};
     for (int n = begin; n < end; ++n) {
         const float *u = us + size_t(n) * pixels, *v = vs + size_t(n) * pixels;

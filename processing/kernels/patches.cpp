@@ -1,4 +1,4 @@
-// Patches aligned to a fraction of a pixel, and followed through the views of a light field. Twin: patches.py.
+// Patches aligned to a fraction of a pixel. Twin: patches.py.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 
@@ -9,25 +9,15 @@
 #include <stdexcept>
 
 #include "lfrig/parallel.hpp"
-
-// Into the function with clones, so that it is compiled for each of their instruction sets.
-#if defined(__GNUC__)
-#define LFRIG_INLINE inline __attribute__((always_inline))
-#else
-#define LFRIG_INLINE inline
-#endif
+#include "parts/patch_window.hpp"
 
 namespace nb = nanobind;
 using nb::ndarray;
 
 namespace {
 
-constexpr int kLanes = 16;        // sums are kept in so many parts: the same bits for every vector width
-constexpr int kMaxPixels = 256;   // of a patch, whole lanes
-constexpr int kChannels = 4;      // of a picture: grey, its slopes, and nothing
-constexpr int kUnknowns = 4;      // shift and slant
-constexpr int kPointsPerItem = 64;
-constexpr int kRun = 16;  // longest row of a square patch that is copied as a whole
+constexpr int kChannels = 4;  // of a picture: grey, its slopes, and nothing
+constexpr int kUnknowns = 4;  // shift and slant
 
 using Four = float __attribute__((vector_size(16)));  // one pixel of a picture
 
@@ -37,28 +27,10 @@ LFRIG_INLINE Four load(const float *p) {
     return out;
 }
 
-struct Window {  // offsets and weights of a patch's pixels; those that fill the last lanes have no weight
-    int count = 0;
-    int reach = 0;  // furthest whole pixel
-    int side = 0;   // of a square of whole pixels in order of rows; 0 = another shape
-    float dx[kMaxPixels], dy[kMaxPixels], weight[kMaxPixels];
-    int col[kMaxPixels], row[kMaxPixels];
-};
-
 struct Settings {
     int shift_passes, slant_passes;
     double ridge, max_step, settled;
 };
-
-struct Sampled {
-    float grey[kMaxPixels], slope_x[kMaxPixels], slope_y[kMaxPixels];
-};
-
-LFRIG_INLINE float sum_of(const float *lanes) {
-    float total = 0;
-    for (int l = 0; l < kLanes; ++l) total += lanes[l];
-    return total;
-}
 
 // Cholesky solution of a symmetric positive system, in place of its right side.
 LFRIG_INLINE void solve(double a[kUnknowns][kUnknowns], double *b, int n) {
@@ -131,14 +103,6 @@ LFRIG_INLINE float standardise(const Window &w, float *values) {
     const float contrast = std::sqrt(sum_of(squares)) + 1e-3f;
     for (int k = 0; k < w.count; ++k) values[k] /= contrast;
     return contrast;
-}
-
-// Σ a b over the pixels, and Σ a.
-LFRIG_INLINE float dot(int count, const float *a, const float *b) {
-    float lanes[kLanes] = {};
-    for (int k = 0; k < count; k += kLanes)
-        for (int l = 0; l < kLanes; ++l) lanes[l] += a[k + l] * b[k + l];
-    return sum_of(lanes);
 }
 
 LFRIG_INLINE float total(int count, const float *a) {
@@ -234,128 +198,7 @@ LFRIG_CLONES void align_range(const float *first, int first_height, int first_wi
                              affine + 4 * n, along + 2 * n, xy + 2 * n);
 }
 
-struct Views {
-    const uint8_t *pictures;  // [V, H, W]
-    const double *offsets;    // [V, 2] x, y of the view from the centre view
-    int count, height, width;
-};
-
-struct Reference {
-    const float *grey, *slope_x, *slope_y;  // of one patch
-};
-
-// Adds to the two sums of Gauss–Newton on a disparity what one view says.
-LFRIG_INLINE void compare_view(const uint8_t *picture, int height, int width, double x, double y, float ox, float oy,
-                         const Window &w, const Reference &ref, float robust, float &slope, float &right) {
-    alignas(64) float error[kMaxPixels];
-    alignas(64) uint8_t at[4][kMaxPixels + kRun] = {};
-    // A patch is not turned or stretched: all its pixels lie at the same fraction between theirs.
-    x = x > -1e6 ? std::min(x, 1e6) : -1e6;
-    y = y > -1e6 ? std::min(y, 1e6) : -1e6;
-    const int x0 = int(std::floor(x)), y0 = int(std::floor(y));
-    const float fx = float(x - x0), fy = float(y - y0);
-    float lanes[kLanes] = {};
-    if (x0 >= w.reach && y0 >= w.reach && x0 + w.reach + 1 < width && y0 + w.reach + 1 < height) {
-        const uint8_t *middle = picture + size_t(y0) * width + x0, *last = picture + size_t(height) * width;
-        const uint8_t *corner = middle - w.reach * width - w.reach;
-        if (w.side > 0 && corner + size_t(w.side) * width + kRun + 1 <= last) {
-            // Whole runs: what is too much of one is overwritten by the next.
-            for (int j = 0; j < w.side; ++j) {
-                const uint8_t *p = corner + size_t(j) * width, *q = p + width;
-                std::memcpy(at[0] + j * w.side, p, kRun);
-                std::memcpy(at[1] + j * w.side, p + 1, kRun);
-                std::memcpy(at[2] + j * w.side, q, kRun);
-                std::memcpy(at[3] + j * w.side, q + 1, kRun);
-            }
-        } else {
-            for (int k = 0; k < w.count; ++k) {
-                const uint8_t *p = middle + w.row[k] * width + w.col[k], *q = p + width;
-                at[0][k] = p[0], at[1][k] = p[1], at[2][k] = q[0], at[3][k] = q[1];
-            }
-        }
-    } else {
-        for (int k = 0; k < w.count; ++k) {
-            const int i = x0 + w.col[k], j = y0 + w.row[k];
-            const int left = std::clamp(i, 0, width - 1), next = std::clamp(i + 1, 0, width - 1);
-            const uint8_t *p = picture + size_t(std::clamp(j, 0, height - 1)) * width;
-            const uint8_t *q = picture + size_t(std::clamp(j + 1, 0, height - 1)) * width;
-            at[0][k] = p[left], at[1][k] = p[next], at[2][k] = q[left], at[3][k] = q[next];
-        }
-    }
-    for (int k = 0; k < w.count; ++k) {
-        const float a = at[0][k], b = at[1][k], c = at[2][k], d = at[3][k];
-        const float top = a + fx * (b - a), low = c + fx * (d - c);
-        error[k] = top + fy * (low - top);
-    }
-    for (int k = 0; k < w.count; k += kLanes)
-        for (int l = 0; l < kLanes; ++l) {
-            error[k + l] -= ref.grey[k + l];
-            lanes[l] += error[k + l] * w.weight[k + l];
-        }
-    const float mean = sum_of(lanes);
-    float slopes[kLanes] = {}, rights[kLanes] = {};
-    for (int k = 0; k < w.count; k += kLanes)
-        for (int l = 0; l < kLanes; ++l) {
-            const float e = error[k + l] - mean, scaled = e * robust;
-            const float derivative = -(ox * ref.slope_x[k + l] + oy * ref.slope_y[k + l]);
-            const float weighted = w.weight[k + l] / (1 + scaled * scaled) * derivative;
-            slopes[l] += weighted * derivative;
-            rights[l] += weighted * e;
-        }
-    slope += sum_of(slopes);
-    right += sum_of(rights);
-}
-
-LFRIG_CLONES void disparity_range(const Views &views, const Window &w, const float *grey, const float *slope_x,
-                                  const float *slope_y, int pixels, const double *xy, int passes, double max_step,
-                                  double settled, double robust, double *disparity, double *last, int begin, int end) {
-    alignas(64) Sampled patch = {};
-    for (int n = begin; n < end; ++n) {
-        std::copy(grey + size_t(n) * pixels, grey + size_t(n + 1) * pixels, patch.grey);
-        std::copy(slope_x + size_t(n) * pixels, slope_x + size_t(n + 1) * pixels, patch.slope_x);
-        std::copy(slope_y + size_t(n) * pixels, slope_y + size_t(n + 1) * pixels, patch.slope_y);
-        const Reference ref{patch.grey, patch.slope_x, patch.slope_y};
-        for (int pass = 0; pass < passes; ++pass) {
-            float slope = 1e-9f, right = 0;
-            for (int v = 0; v < views.count; ++v) {
-                const double ox = views.offsets[2 * v], oy = views.offsets[2 * v + 1];
-                compare_view(views.pictures + size_t(v) * views.height * views.width, views.height, views.width,
-                             xy[2 * n] - ox * disparity[n], xy[2 * n + 1] - oy * disparity[n], float(ox), float(oy), w,
-                             ref, float(1 / robust), slope, right);
-            }
-            last[n] = -double(right) / double(slope);
-            disparity[n] += std::clamp(last[n], -max_step, max_step);
-            if (std::fabs(last[n]) < settled) break;
-        }
-    }
-}
-
 using Picture = ndarray<const float, nb::ndim<3>, nb::c_contig, nb::device::cpu>;
-using Points = ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
-using Line = ndarray<const float, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
-using Patch = ndarray<const float, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
-
-Window window_of(const Line &dx, const Line &dy, const Line &weight) {
-    const int pixels = int(dx.shape(0));
-    if (int(dy.shape(0)) != pixels || int(weight.shape(0)) != pixels || pixels > kMaxPixels || pixels == 0)
-        throw std::invalid_argument("patches: a window of a wrong shape");
-    Window w;
-    w.count = (pixels + kLanes - 1) / kLanes * kLanes;
-    for (int k = 0; k < w.count; ++k) {
-        w.dx[k] = k < pixels ? dx(k) : 0;
-        w.dy[k] = k < pixels ? dy(k) : 0;
-        w.weight[k] = k < pixels ? weight(k) : 0;
-        w.col[k] = int(w.dx[k]);
-        w.row[k] = int(w.dy[k]);
-        w.reach = std::max({w.reach, std::abs(w.col[k]), std::abs(w.row[k])});
-    }
-    const int side = 2 * w.reach + 1;
-    bool square = pixels == side * side && side <= kRun;
-    for (int k = 0; square && k < pixels; ++k)
-        square = w.col[k] == k % side - w.reach && w.row[k] == k / side - w.reach;
-    w.side = square ? side : 0;
-    return w;
-}
 
 }  // namespace
 
@@ -384,29 +227,4 @@ void register_patches(nb::module_ &m) {
             });
         },
         "Align patches of the second picture with those of the first; xy is start and result");
-    m.def(
-        "patches_disparity",
-        [](ndarray<const uint8_t, nb::ndim<3>, nb::c_contig, nb::device::cpu> pictures, Points offsets, Patch grey,
-           Patch slope_x, Patch slope_y, Line dx, Line dy, Line weight, Points xy, int passes, double max_step,
-           double settled, double robust, ndarray<double, nb::ndim<1>, nb::c_contig, nb::device::cpu> disparity,
-           ndarray<double, nb::ndim<1>, nb::c_contig, nb::device::cpu> last, int threads) {
-            const size_t count = xy.shape(0), pixels = dx.shape(0);
-            for (const Patch &p : {grey, slope_x, slope_y})
-                if (p.shape(0) != count || p.shape(1) != pixels)
-                    throw std::invalid_argument("patches_disparity: patches of a wrong shape");
-            if (offsets.shape(0) != pictures.shape(0) || offsets.shape(1) != 2 || xy.shape(1) != 2 ||
-                disparity.shape(0) != count || last.shape(0) != count || pictures.size() == 0)
-                throw std::invalid_argument("patches_disparity: shapes do not match");
-            const Window w = window_of(dx, dy, weight);
-            const Views views{pictures.data(), offsets.data(), int(pictures.shape(0)), int(pictures.shape(1)),
-                              int(pictures.shape(2))};
-            nb::gil_scoped_release release;
-            const int items = int((count + kPointsPerItem - 1) / kPointsPerItem);
-            lfrig::parallel_for(items, threads, [&](int item) {
-                disparity_range(views, w, grey.data(), slope_x.data(), slope_y.data(), int(pixels), xy.data(), passes,
-                                max_step, settled, robust, disparity.data(), last.data(), item * kPointsPerItem,
-                                std::min(int(count), (item + 1) * kPointsPerItem));
-            });
-        },
-        "Follow patches of a centre view through other views by one disparity each; disparity is start and result");
 }

@@ -1,4 +1,4 @@
-"""Patches aligned to a fraction of a pixel, and followed through the views of a light field.
+"""Patches aligned to a fraction of a pixel.
 
 Gauss–Newton on a patch's shift under a known affine map, with brightness gain and offset removed (Lucas & Kanade 1981;
 Shi & Tomasi 1994; Evangelidis & Psarakis 2008 for the normalised correlation). C++ form: ``patches.cpp``.
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfrig.contracts.native import load_native
-from lfrig.processing.model import F32, F64, U8
+from lfrig.processing.model import F32, F64
 from lfrig.processing.patch import slopes
 
 SLANT_RIDGE = 0.01
@@ -91,57 +91,6 @@ def align_patches(
     return xy, likeness
 
 
-def follow_disparities(
-    pictures: U8,
-    offsets: F64,
-    reference: tuple[F32, F32, F32],
-    window: Window,
-    xy: F64,
-    start: F64,
-    *,
-    passes: int,
-    max_step_px: float,
-    robust_grey: float,
-    threads: int = 0,
-) -> tuple[F64, F64]:
-    """Disparities by which patches of a centre view are found in other views: one number moves a patch in all of them.
-
-    Brightness may differ from view to view: patches are compared without their means, and large differences count
-    less (Cauchy).
-
-    Parameters
-    ----------
-    pictures : uint8 [V, H, W]
-        Grey views.
-    offsets : float64 [V, 2]
-        Of the views from the centre view, x and y [view steps].
-    reference : (float32 [N, K],) * 3
-        Grey of the centre view's patches, and its slopes in x and y.
-    xy : float64 [N, 2]
-        Middles of the patches [px].
-    start : float64 [N]
-        Disparities to start from [px per view step].
-
-    Returns
-    -------
-    disparity, step : float64 [N]
-        The disparities, and what the last pass would have moved them by without its limit.
-    """
-    native = load_native("lfrig.processing.kernels._native")
-    if native is None:
-        return follow_disparities_numpy(
-            pictures, offsets, reference, window, xy, start, passes=passes, max_step_px=max_step_px,
-            robust_grey=robust_grey,
-        )  # fmt: skip
-    disparity, step = np.array(start, np.float64), np.zeros(len(start))
-    native.patches_disparity(
-        np.ascontiguousarray(pictures), np.ascontiguousarray(offsets, np.float64),
-        *(np.ascontiguousarray(r, np.float32) for r in reference), window.dx, window.dy, window.weight,
-        np.ascontiguousarray(xy, np.float64), passes, max_step_px, SETTLED_PX, robust_grey, disparity, step, threads,
-    )  # fmt: skip
-    return disparity, step
-
-
 def align_patches_numpy(
     first: F32,
     second: F32,
@@ -154,7 +103,7 @@ def align_patches_numpy(
 ) -> tuple[F64, F32]:
     """NumPy twin of `align_patches`."""
     flat = np.broadcast_to(np.eye(2), affine.shape)
-    reference = _standard(_sampled(first, first_xy, flat, window)[..., 0], window.weight)[0]
+    reference = _standard(sampled(first, first_xy, flat, window)[..., 0], window.weight)[0]
     xy, stretch = second_xy.astype(np.float64), np.zeros(second_xy.shape)
     last = alignment.shift_passes + alignment.slant_passes
     moving = np.ones(len(xy), bool)
@@ -164,7 +113,7 @@ def align_patches_numpy(
             moving[:] = True
         rows = np.flatnonzero(moving)
         full = affine[rows] + along[rows, :, None] * stretch[rows, None, :]
-        seen = _sampled(second, xy[rows], full, window)
+        seen = sampled(second, xy[rows], full, window)
         there, contrast = _standard(seen[..., 0], window.weight)
         step = _step(seen, there - reference[rows], contrast, along[rows], stretch[rows], window, slant)
         length = np.linalg.norm(step[:, :2], axis=1)
@@ -172,7 +121,7 @@ def align_patches_numpy(
         xy[rows] += kept[:, :2]
         stretch[rows] += kept[:, 2:]
         moving[rows] = ~((length < SETTLED_PX) & (np.abs(step[:, 2:]).max(1, initial=0) < SETTLED_PX))
-    seen = _sampled(second, xy, affine + along[:, :, None] * stretch[:, None, :], window)
+    seen = sampled(second, xy, affine + along[:, :, None] * stretch[:, None, :], window)
     there = _standard(seen[..., 0], window.weight)[0]
     return xy, np.asarray(np.einsum("nk,nk,k->n", there, reference, window.weight), np.float32)
 
@@ -184,7 +133,7 @@ def _step(seen: F32, error: F32, contrast: F32, along: F64, stretch: F64, window
     if slant:
         steep = gx * along[:, :1].astype(np.float32) + gy * along[:, 1:].astype(np.float32)
         columns += [steep * window.dx, steep * window.dy]
-    jacobian = np.stack([_centred(c, window.weight) for c in columns], 1)
+    jacobian = np.stack([centred(c, window.weight) for c in columns], 1)
     weighted = jacobian * window.weight
     normal = (weighted @ jacobian.transpose(0, 2, 1)).astype(np.float64)
     normal += np.diag([1e-6, 1e-6, SLANT_RIDGE, SLANT_RIDGE][: len(columns)])
@@ -196,40 +145,7 @@ def _step(seen: F32, error: F32, contrast: F32, along: F64, stretch: F64, window
     return step
 
 
-def follow_disparities_numpy(
-    pictures: U8,
-    offsets: F64,
-    reference: tuple[F32, F32, F32],
-    window: Window,
-    xy: F64,
-    start: F64,
-    *,
-    passes: int,
-    max_step_px: float,
-    robust_grey: float,
-) -> tuple[F64, F64]:
-    """NumPy twin of `follow_disparities`."""
-    grey, slope_x, slope_y = reference
-    flat = np.broadcast_to(np.eye(2), (len(xy), 2, 2))
-    disparity, step = start.astype(np.float64), np.zeros(len(start))
-    rows = np.arange(len(xy))
-    for _ in range(passes):
-        slope, right = np.full(len(rows), 1e-9), np.zeros(len(rows))
-        for offset, picture in zip(offsets, pictures, strict=True):
-            places = xy[rows] - offset * disparity[rows, None]
-            seen = _sampled(picture[..., None].astype(np.float32), places, flat[rows], window)
-            error = _centred(seen[..., 0] - grey[rows], window.weight)
-            derivative = -(np.float32(offset[0]) * slope_x[rows] + np.float32(offset[1]) * slope_y[rows])
-            weight = window.weight / (1 + (error / np.float32(robust_grey)) ** 2)
-            slope += np.einsum("nk,nk->n", weight * derivative, derivative)
-            right += np.einsum("nk,nk->n", weight * derivative, error)
-        step[rows] = -right / slope
-        disparity[rows] += np.clip(step[rows], -max_step_px, max_step_px)
-        rows = rows[~(np.abs(step[rows]) < SETTLED_PX)]
-    return disparity, step
-
-
-def _sampled(picture: F32, xy: F64, full: NDArray[np.floating], window: Window) -> F32:
+def sampled(picture: F32, xy: F64, full: NDArray[np.floating], window: Window) -> F32:
     """Bilinear values of a picture [H, W, C] around points under affine maps [N, 2, 2], float32 [N, K, C]."""
     height, width = picture.shape[:2]
     f, at = full.astype(np.float32), xy.astype(np.float32)
@@ -244,13 +160,14 @@ def _sampled(picture: F32, xy: F64, full: NDArray[np.floating], window: Window) 
     return np.asarray(top + fy * (low - top), np.float32)
 
 
-def _centred(values: F32, weight: F32) -> F32:
+def centred(values: F32, weight: F32) -> F32:
+    """Patches [N, K] without their weighted means."""
     return np.asarray(values - (values * weight).sum(1, keepdims=True), np.float32)
 
 
 def _standard(values: F32, weight: F32) -> tuple[F32, F32]:
     """Patches without mean and of unit contrast; and the contrast [N, 1]."""
     with np.errstate(over="ignore", invalid="ignore"):  # pictures may hold anything: what is lost is no match
-        values = _centred(values, weight)
+        values = centred(values, weight)
         contrast = np.sqrt((values * values * weight).sum(1, keepdims=True)) + np.float32(1e-3)
         return np.asarray(values / contrast, np.float32), np.asarray(contrast, np.float32)

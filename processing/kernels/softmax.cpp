@@ -1,5 +1,5 @@
-// What a volume of aggregated costs says: its softmax with the windowed mean around the peak, also of sums as they
-// leave semi-global matching, and a summary of it per pixel. Twins: softmax.py.
+// What costs say: the softmax of semi-global matching's sums with the windowed mean around its peak, and a summary per
+// pixel. Twins: softmax.py.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 
@@ -74,7 +74,7 @@ class Writer {
         : settings_(settings), volume_(volume), planes_(planes), weight_(whole_lanes(planes)),
           quantised_(whole_lanes(planes)) {}
 
-    // `cost` of the planes `first` to `first + count`, 65535 up to whole lanes; not in the volume.
+    // `cost` of the planes `first` to `first + count`, 65535 up to whole lanes.
     void write(size_t pixel, const uint16_t *cost, int first, int count) {
         const int lanes = whole_lanes(count), window = settings_.window;
         const float *weight = weight_.data();
@@ -143,30 +143,6 @@ const uint16_t *padded(const uint16_t *cost, int planes, int lanes, std::vector<
     return buffer.data();
 }
 
-// volume uint16 [H, W, D]: costs, which probabilities (65535 = 1) take the place of; peak index and mass float32
-// [H, W].
-void softmax_peak(ndarray<uint16_t, nb::ndim<3>, nb::c_contig, nb::device::cpu> volume, Span span, float sharpness,
-                  int window, Map<float> index, Map<float> confidence, int threads) {
-    const size_t height = volume.shape(0), width = volume.shape(1), planes = volume.shape(2);
-    if (!same(index, height, width) || !same(confidence, height, width))
-        throw std::invalid_argument("softmax_peak: shapes do not match");
-    if (planes < 1 || window < 0) throw std::invalid_argument("softmax_peak: no plane, or a negative window");
-    const Planes active(span, int(height), int(width), int(planes));
-    uint16_t *data = volume.data();
-    const Softmax settings{sharpness, window, index.data(), confidence.data()};
-    nb::gil_scoped_release release;
-    lfrig::parallel_for(int(height), threads, [&](int y) {
-        Writer writer(settings, data, int(planes));
-        std::vector<uint16_t> buffer(whole_lanes(int(planes)));
-        for (int x = 0; x < int(width); ++x) {
-            int first, n;
-            active.of(y, x, &first, &n);
-            const size_t pixel = size_t(y) * width + x;
-            writer.write(pixel, padded(data + pixel * planes + first, n, whole_lanes(n), buffer), first, n);
-        }
-    });
-}
-
 // Takes sums from semi-global matching and leaves probabilities where the first pass kept its sums.
 class Probabilities {
   public:
@@ -197,7 +173,8 @@ class Probabilities {
     Writer writer_;
 };
 
-// out uint16 [H, W, D], probabilities; index and confidence float32 [H, W]; the others as for `semi_global_of`.
+// out uint16 [H, W, D], probabilities (65535 = 1); peak index and mass float32 [H, W]; the others as for
+// `semi_global_of`.
 void sgm_softmax(CU3 cost, CU3 penalty, CI3 span, int p1, int cap, float sharpness, int window,
                  ndarray<uint16_t, nb::ndim<3>, nb::c_contig, nb::device::cpu> out, Map<float> index,
                  Map<float> confidence, int threads) {
@@ -251,9 +228,6 @@ void summarise(Cost cost, Span span, int every, int margin, Map<uint16_t> lowest
 }  // namespace
 
 void register_softmax(nb::module_ &m) {
-    m.def("softmax_peak", &softmax_peak, nb::arg("volume").noconvert(), nb::arg("span").noconvert(),
-          nb::arg("sharpness"), nb::arg("window"), nb::arg("index").noconvert(), nb::arg("confidence").noconvert(),
-          nb::arg("threads"));
     m.def("sgm_softmax", &sgm_softmax, nb::arg("cost").noconvert(), nb::arg("penalty").noconvert(),
           nb::arg("span").noconvert(), nb::arg("p1"), nb::arg("cap"), nb::arg("sharpness"), nb::arg("window"),
           nb::arg("out").noconvert(), nb::arg("index").noconvert(), nb::arg("confidence").noconvert(),

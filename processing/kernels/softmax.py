@@ -1,4 +1,4 @@
-"""What a volume of aggregated costs says: softmax with the windowed mean around its peak, and a summary per pixel.
+"""What costs say: softmax of aggregated ones with the windowed mean around its peak, and a summary per pixel.
 
 C++ forms: ``softmax.cpp``.
 """
@@ -22,37 +22,6 @@ TILE = 8
 NO_SPAN = np.zeros((0, 0, 0), np.int16)
 
 
-def softmax_peak(
-    cost: U16, inverse_temperature: float, window: int, *, span: I16 | None = None, threads: int = 0
-) -> tuple[U16, F32, F32]:
-    """Softmax of −cost along the last axis, and the peak's windowed mean.
-
-    The mean is taken over ±``window`` planes around the peak: over all planes, a uniform floor of 20 % would pull it
-    by 4 planes.
-
-    Parameters
-    ----------
-    cost : uint16 [H, W, D]
-        Probabilities take its place: the memory of a volume is worth more than the costs.
-    inverse_temperature : float
-        Sharpness per unit of cost.
-    span : int16 [ceil(H/8), ceil(W/8), 2], optional
-        First and one-past-last plane of each tile of 8×8 pixels; the rest has probability 0 and is not read.
-
-    Returns
-    -------
-    probability uint16 [H, W, D] (65535 = 1; the given volume), peak index float32 [H, W], confidence float32 [H, W]
-        (mass at the peak). The same bits for any thread count; C++ and NumPy differ by rounding.
-    """
-    native = load_native("lfrig.processing.kernels._native")
-    if native is None:
-        return softmax_peak_numpy(cost, inverse_temperature, window, span)
-    index, confidence = (np.empty(cost.shape[:2], np.float32) for _ in range(2))
-    active = NO_SPAN if span is None else np.ascontiguousarray(span, np.int16)
-    native.softmax_peak(cost, active, inverse_temperature, window, index, confidence, threads)
-    return cost, index, confidence
-
-
 def sgm_softmax(
     cost: U16,
     penalties: Penalties,
@@ -62,20 +31,30 @@ def sgm_softmax(
     span: I16 | None = None,
     threads: int = 0,
 ) -> tuple[U16, F32, F32]:
-    """`softmax_peak` of semi-global matching's sums (`sgm.aggregate`), which are never written down.
+    """Softmax of minus semi-global matching's sums (`sgm.aggregate`) along the last axis, and the peak's windowed mean.
+
+    The sums are never written down. The mean is taken over ±``window`` planes around the peak, the first of the
+    lowest sums: over all planes, a uniform floor of 20 % would pull it by 4 planes.
 
     Parameters
     ----------
     cost : uint16 [H, W, D]
     penalties : Penalties
         Of changes of label.
+    inverse_temperature : float
+        Sharpness per unit of the sums.
     span : int16 [ceil(H/8), ceil(W/8), 2], optional
-        Active planes of each tile of 8×8 pixels; a tile without any is certain of one.
+        First and one-past-last active plane of each tile of 8×8 pixels; the rest has probability 0 and is not read.
+        A tile without any is certain of one.
+
+    Returns
+    -------
+    probability uint16 [H, W, D] (65535 = 1), peak index float32 [H, W], confidence float32 [H, W] (mass at the peak).
+        The same bits for any thread count; C++ and NumPy differ by rounding.
     """
     native = load_native("lfrig.processing.kernels._native")
     if native is None:
-        total = aggregate_numpy(cost, penalties, span, None)
-        return softmax_peak_numpy(total, inverse_temperature, window, span)
+        return sgm_softmax_numpy(cost, penalties, inverse_temperature, window, span)
     out = np.empty(cost.shape, np.uint16)
     index, confidence = (np.empty(cost.shape[:2], np.float32) for _ in range(2))
     active = NO_SPAN if span is None else np.ascontiguousarray(span, np.int16)
@@ -106,7 +85,7 @@ def summarise(cost: U16, *, span: I16 | None = None, margin: int = 0, every: int
     ----------
     cost : uint16 [H, W, D]
     span : int16 [ceil(H/8), ceil(W/8), 2], optional
-        As for `softmax_peak`.
+        First and one-past-last active plane of each tile of 8×8 pixels; at least one counts, the rest is not read.
     margin : int
         In units of the cost.
     """
@@ -135,13 +114,21 @@ def in_span(span: I16 | None, shape: tuple[int, ...]) -> Mask:
     return np.asarray((k >= first) & (k < past))
 
 
-def softmax_peak_numpy(cost: U16, inverse_temperature: float, window: int, span: I16 | None) -> tuple[U16, F32, F32]:
-    """NumPy twin of `softmax_peak`."""
+def sgm_softmax_numpy(
+    cost: U16, penalties: Penalties, inverse_temperature: float, window: int, span: I16 | None
+) -> tuple[U16, F32, F32]:
+    """NumPy twin of `sgm_softmax`."""
+    total = aggregate_numpy(cost, penalties, span, None)
+    index, confidence = _to_probabilities(total, inverse_temperature, window, in_span(span, cost.shape))
+    return total, index, confidence
+
+
+def _to_probabilities(cost: U16, inverse_temperature: float, window: int, active: Mask) -> tuple[F32, F32]:
+    """Softmax of −cost along the last axis, in place; returns the index of the peak and the mass there."""
     height, width, planes = cost.shape
     index = np.empty((height, width), np.float32)
     confidence = np.empty((height, width), np.float32)
     labels = np.arange(planes, dtype=np.float32)
-    active = in_span(span, cost.shape)
     rows = max(1, 2_000_000 // (width * planes))
     for y in range(0, height, rows):
         block = np.where(active[y : y + rows], cost[y : y + rows], np.inf).astype(np.float32)
@@ -153,7 +140,7 @@ def softmax_peak_numpy(cost: U16, inverse_temperature: float, window: int, span:
         mass = p.sum(2)
         confidence[y : y + rows] = np.minimum(mass, 1)
         index[y : y + rows] = (p @ labels) / mass
-    return cost, index, confidence
+    return index, confidence
 
 
 def summarise_numpy(cost: U16, span: I16 | None, margin: int, every: int) -> Summary:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lfrig.processing.kernels.patches import follow_disparities
+from lfrig.processing.kernels.corner_disparity import follow_disparities
 from lfrig.processing.model import F64, U8, Evidence, LightField
 from lfrig.processing.poses.patches import cut, square
 from lfrig.processing.poses.picture import Picture, grey8_of, picture_of

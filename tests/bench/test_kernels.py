@@ -76,10 +76,13 @@ def test_the_original_comes_back_when_the_block_fails(tmp_path: Path) -> None:
 
 
 def test_a_replay_starts_from_the_same_inputs_each_time() -> None:
-    cost = np.random.default_rng(1).integers(0, 5000, (11, 13, 9)).astype(np.uint16)
+    rng = np.random.default_rng(1)
+    cost = rng.integers(0, 5000, (11, 13, 9)).astype(np.uint16)
     before = cost.copy()
-    in_place = Spot("peak", "lfrig.processing.kernels.softmax", "softmax_peak", in_place=(0,))
-    replay = Replay(in_place, Call((cost, 1e-3, 2), {}))
+    disparity, steepness, weight = (rng.uniform(0, most, (11, 13)).astype(np.float32) for most in (1.0, 1e5, 1.0))
+    in_place = Spot("blend", "lfrig.processing.kernels.plain_cost", "blend_plain", in_place=(0,))
+    arguments = (cost, plane_cost.PlaneGrid(-0.5, 0.2, 9), disparity, steepness, weight, 4000.0)
+    replay = Replay(in_place, Call(arguments, {}))
     found = []
     for _ in range(2):
         replay.reset()
@@ -230,14 +233,16 @@ def test_ratios_are_promised_at_full_size_with_avx512() -> None:
 def calls(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Calls of all kernels on a small case, and their bits."""
     folder = tmp_path_factory.mktemp("calls")
-    kernels_bits.write_folder(folder, SMALL)
+    with native_switched(True):
+        kernels_bits.write_folder(folder, SMALL)
     return folder
 
 
 @needs_native
 @pytest.mark.slow
 def test_the_same_bits_for_any_number_of_threads(calls: Path) -> None:
-    found = kernels_bits.check_folder(calls)
+    with native_switched(True):
+        found = kernels_bits.check_folder(calls)
     assert len(found) >= 10 and all(found.values()), found
 
 
@@ -253,7 +258,8 @@ def test_other_bits_are_noticed(calls: Path) -> None:
 
 @needs_native
 @pytest.mark.slow
-def test_the_benchmark_end_to_end(tmp_path: Path) -> None:
+def test_the_benchmark_end_to_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("LFRIG_NATIVE", "1")
     chosen = [kernel for kernel in KERNELS if kernel.name in ("warp", "softmax", "unpack")]
     document = kernels.run(tmp_path, threads=1, sizes=["quarter"], kernels=chosen, runs=2)
     rows = [row for row in document.rows if row["kind"] == "kernel"]

@@ -10,7 +10,8 @@ import pytest
 from lfrig.contracts.errors import BadInput
 from lfrig.processing.depth import estimate_disparity
 from lfrig.processing.dpv import DpvSettings, auto_range, light_field_evidence, plane_grid
-from lfrig.processing.kernels.softmax import softmax_peak
+from lfrig.processing.kernels.sgm import PATHS, Penalties
+from lfrig.processing.kernels.softmax import sgm_softmax
 from lfrig.processing.model import LightField
 from lfrig.processing.noise_floor import noise_of_cost
 from tests.processing import scenes
@@ -109,7 +110,8 @@ def test_the_peak_is_not_pulled_by_a_uniform_floor() -> None:
     p = np.exp(-0.5 * ((planes - 30.3) / 1.2) ** 2)
     p = 0.5 * p / p.sum() + 0.5 / 100
     cost = np.rint(-1000 * np.log(p)).astype(np.uint16)
-    _, index, _ = softmax_peak(cost[None, None], 1e-3, 3)
+    penalties = Penalties.of(np.zeros((1, 1, 3), np.uint8), 1.0, 2.0, 30.0)
+    _, index, _ = sgm_softmax(cost[None, None], penalties, 1e-3 / PATHS, 3)  # a lone pixel's paths all cost the same
     assert index[0, 0] == pytest.approx(30.3, abs=0.1)
 
 

@@ -153,13 +153,21 @@ def test_plane_cost_finds_a_shift() -> None:
     assert (cost[4:-4, 6:-6].argmin(2) == 2).all()
 
 
+def free_penalties(shape: tuple[int, int]) -> sgm.Penalties:
+    """Of changes of label that cost nothing: the sum of a pixel's paths is `sgm.PATHS` times its own cost."""
+    return sgm.Penalties(0, np.zeros((4, *shape), np.uint16), sgm.PATH_LIMIT)
+
+
 @pytest.mark.parametrize("shape", [(1, 1, 1), (3, 5, 2), (4, 7, 16), (25, 18, 83)])
 @pytest.mark.parametrize("spans", [False, True])
 def test_softmax_and_summary(monkeypatch: pytest.MonkeyPatch, shape: tuple[int, int, int], spans: bool) -> None:
     cost = np.random.default_rng(1).integers(0, 20_000, shape).astype(np.uint16)
     cost.flat[0] = 65535  # as the aggregation leaves where nothing is known
     span = random_span(shape[:2], shape[2]) if spans else None
-    native, twin = both(monkeypatch, lambda: softmax.softmax_peak(cost.copy(), 1 / 500, 3, span=span, threads=2))
+    native, twin = both(
+        monkeypatch,
+        lambda: softmax.sgm_softmax(cost // sgm.PATHS, free_penalties(shape[:2]), 1 / 500, 3, span=span, threads=2),
+    )
     assert np.abs(native[0].astype(int) - twin[0]).max() <= 1
     for found, expected in zip(native[1:], twin[1:], strict=True):
         np.testing.assert_allclose(found, expected, atol=2e-5)
@@ -195,14 +203,35 @@ def test_softmax_of_sums_that_are_never_written(
     monkeypatch.setenv("LFRIG_NATIVE", "1")
     for threads in (1, 3):
         assert all(np.array_equal(a, b) for a, b in zip(call(threads), native, strict=True))
+
+
+@pytest.mark.parametrize("shape", [(1, 1, 1), (9, 21, 16), (17, 30, 45)])
+@pytest.mark.parametrize("spans", [False, True])
+def test_softmax_is_that_of_the_aggregated_sums(
+    monkeypatch: pytest.MonkeyPatch, shape: tuple[int, int, int], spans: bool
+) -> None:
+    monkeypatch.setenv("LFRIG_NATIVE", "1")
+    rng = np.random.default_rng(6)
+    cost = rng.integers(0, 600, shape).astype(np.uint16)
+    guide = rng.integers(0, 256, (*shape[:2], 3)).astype(np.uint8)
+    span = random_span(shape[:2], shape[2]) if spans else None
+    at_once = softmax.sgm_softmax(cost, sgm.Penalties.of(guide, 40.0, 300.0, 12.0), 1 / 500, 3, span=span)
     total = sgm.aggregate(cost, guide, 40.0, 300.0, 12.0, span=span)
-    two_steps = softmax.softmax_peak(total, 1 / 500, 3, span=span)
-    assert all(np.array_equal(a, b) for a, b in zip(two_steps, native, strict=True))
+    assert total[softmax.in_span(span, shape)].max() <= sgm.PATH_LIMIT, "not taken as it is"
+    # Eight times a cost at an eighth of the sharpness: the same numbers, only their exponents differ.
+    two_steps = softmax.sgm_softmax(total, free_penalties(shape[:2]), 1 / 500 / sgm.PATHS, 3, span=span)
+    assert all(np.array_equal(a, b) for a, b in zip(two_steps, at_once, strict=True))
 
 
-def test_softmax_of_equal_costs_takes_the_first_peak() -> None:
-    _, index, mass = softmax.softmax_peak(np.zeros((2, 3, 40), np.uint16), 4.0, 3)
-    assert index == pytest.approx(1.5) and mass == pytest.approx(0.1)
+@pytest.mark.parametrize("native", "01")
+@pytest.mark.parametrize("cost", [0, 65535])
+def test_softmax_of_equal_costs_takes_the_first_peak(monkeypatch: pytest.MonkeyPatch, native: str, cost: int) -> None:
+    monkeypatch.setenv("LFRIG_NATIVE", native)
+    equal = np.full((2, 3, 40), cost, np.uint16)
+    penalties = sgm.Penalties.of(np.zeros((2, 3, 3), np.uint8), 40.0, 300.0, 12.0)
+    for threads in (1, 3):
+        _, index, mass = softmax.sgm_softmax(equal, penalties, 4.0, 3, threads=threads)
+        assert index == pytest.approx(1.5) and mass == pytest.approx(0.1)
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (19, 33), (5, 150)])

@@ -7,7 +7,7 @@ from importlib.util import find_spec
 import numpy as np
 import pytest
 
-from lfrig.processing.kernels import bundle, patches, rig_chain
+from lfrig.processing.kernels import bundle, corner_disparity, patches, rig_chain
 from tests.processing.kernels.twins import both
 
 pytestmark = pytest.mark.skipif(
@@ -224,7 +224,7 @@ def test_disparities(monkeypatch: pytest.MonkeyPatch, n: int, threads: int) -> N
     )  # fmt: skip
 
     def follow() -> tuple[np.ndarray, np.ndarray]:
-        return patches.follow_disparities(
+        return corner_disparity.follow_disparities(
             np.stack(moved).round().astype(np.uint8), offsets, (reference[0], reference[1], reference[2]), window, xy,
             np.full(n, 0.25), passes=4, max_step_px=0.05, robust_grey=6.0, threads=threads,
         )  # fmt: skip
@@ -234,3 +234,28 @@ def test_disparities(monkeypatch: pytest.MonkeyPatch, n: int, threads: int) -> N
     np.testing.assert_allclose(native[1], twin[1], atol=2e-3)
     inside = ((xy > 8) & (xy < [56, 38])).all(1)
     assert np.median(np.abs(native[0][inside] - 0.3)) < 0.02
+
+
+@pytest.mark.parametrize("threads", [1, 4])
+@pytest.mark.parametrize("shape", [(1, 1), (23, 37)])
+def test_disparities_survive_nonsense(monkeypatch: pytest.MonkeyPatch, shape: tuple[int, int], threads: int) -> None:
+    rng = np.random.default_rng(6)
+    window, n = square(3), 150
+    grey, slope_x, slope_y = (rng.normal(0, 40, (n, len(window.dx))).astype(np.float32) for _ in range(3))
+    slope_y[4], grey[5] = 1e30, np.nan
+    xy, start = rng.uniform(-5, 40, (n, 2)), np.zeros(n)
+    xy[0], xy[1], xy[2], start[3] = np.nan, 1e12, -1e12, np.nan
+    pictures = rng.integers(0, 256, (4, *shape)).astype(np.uint8)
+    offsets = np.array([(-4.0, -4), (0, 4), (4, 0), (3, -3)])
+
+    def follow() -> tuple[np.ndarray, np.ndarray]:
+        with np.errstate(over="ignore", invalid="ignore"):
+            return corner_disparity.follow_disparities(
+                pictures, offsets, (grey, slope_x, slope_y), window, xy, start, passes=1, max_step_px=0.05,
+                robust_grey=6.0, threads=threads,
+            )  # fmt: skip
+
+    native, twin = both(monkeypatch, follow)
+    for found, expected in zip(native, twin, strict=True):
+        np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-4)
+    assert np.isfinite(np.delete(native[0], [0, 3, 4, 5])).all()
