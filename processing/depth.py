@@ -12,6 +12,7 @@ from lfrig.processing.matching_views import matching_views
 from lfrig.processing.model import F32, Evidence, LightField
 from lfrig.processing.refine import DEFAULT_REFINE, RefineSettings, smooth, snap_to_edges
 from lfrig.processing.skipping import SKIP_ALL, Skips, Tally
+from lfrig.processing.threads import opencv_threads
 
 
 @dataclass(frozen=True)
@@ -48,7 +49,7 @@ def estimate_disparity(
         Constant views, or an empty range.
     """
     monitor = monitor or Monitor()
-    with monitor.task("disparity", 3):
+    with opencv_threads(threads), monitor.task("disparity", 3):
         views = matching_views(light_field, settings.clipped_blur_px, threads=threads)
         found = disparity_range or auto_range(light_field, views=views, skips=skips, threads=threads)
         monitor.advance()

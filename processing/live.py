@@ -114,7 +114,7 @@ class LiveFusion:
             Cancelled.
         """
         with self._lock:
-            clock = StageClock(monitor or Monitor())
+            clock = self._clock(monitor)
             small = scale_light_field(light_field, self.options.geometry_resolution)
             with clock.stage("evidence", 1) as note:
                 if self.options.knobs.skips.plate:
@@ -148,7 +148,7 @@ class LiveFusion:
                     f"no source {capture_id!r}", code="unknown-capture", remedy=f"there are {', '.join(self._shots)}"
                 )
             shots = {name: shot for name, shot in self._shots.items() if name != capture_id}
-            return self._commit(shots, self._target, StageClock(monitor or Monitor()))
+            return self._commit(shots, self._target, self._clock(monitor))
 
     def set_target(self, photo: Photo, monitor: Monitor | None = None) -> LiveView | None:
         """Take another photo as the target: from another pose, or of another camera.
@@ -157,7 +157,7 @@ class LiveFusion:
         """
         with self._lock:
             target = scale_photo(photo, self.options.geometry_resolution)
-            return self._commit(self._shots, target, StageClock(monitor or Monitor()))
+            return self._commit(self._shots, target, self._clock(monitor))
 
     def show(self, image: Image, monitor: Monitor | None = None) -> LiveView:
         """Views of another frame of the target camera from where it stands: the geometry stays, synthesis alone runs.
@@ -186,11 +186,14 @@ class LiveFusion:
                     f"the frame is {image.shape[1]}×{image.shape[0]}, the target is of another shape",
                     field="image", remedy="set it as the target instead",
                 )  # fmt: skip
-            clock = StageClock(monitor or Monitor())
+            clock = self._clock(monitor)
             made = before.light_field
             shown = synthesize(frame, made.surface, made.camera, made.request, self.options, clock)
             self._view = LiveView(shown, before.target_pose, before.sources, tuple(clock.reports), ())
             return self._view
+
+    def _clock(self, monitor: Monitor | None) -> StageClock:
+        return StageClock(monitor or Monitor(), self.options.threads)
 
     def _commit(self, shots: dict[str, _Shot], target: Photo | None, clock: StageClock) -> LiveView | None:
         """Compute what there is to see, and only then let it be known."""

@@ -109,7 +109,7 @@ def process(
         )
     if len(sources) == 1:
         monitor.warn("one-source", "only one source: what it does not see is guessed; shoot at least two")
-    clock = StageClock(monitor)
+    clock = StageClock(monitor, options.threads)
     settings, threads, resolution = options.knobs, options.threads, options.geometry_resolution
     working, photo = [scale_light_field(lf, resolution) for lf in sources], scale_photo(target, resolution)
     box = None

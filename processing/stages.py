@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from lfrig.contracts.progress import Monitor
 from lfrig.contracts.result import SkipReport, StageReport
 from lfrig.processing.skipping import Tally
+from lfrig.processing.threads import opencv_threads
 
 
 @dataclass
@@ -33,9 +34,10 @@ class StageNote:
 
 @dataclass
 class StageClock:
-    """Times stages one after the other."""
+    """Times stages one after the other, and keeps OpenCV in them to ``threads`` (0 = all cores)."""
 
     monitor: Monitor
+    threads: int = 0
     reports: list[StageReport] = field(default_factory=list)
 
     @contextlib.contextmanager
@@ -43,7 +45,7 @@ class StageClock:
         """Time the block; CPU s = user + system time of the whole process."""
         note = StageNote()
         wall, cpu = time.perf_counter(), time.process_time()
-        with self.monitor.task(name, total):
+        with opencv_threads(self.threads), self.monitor.task(name, total):
             yield note
         self.reports.append(
             StageReport(

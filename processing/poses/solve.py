@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache, partial
 
@@ -31,6 +30,7 @@ from lfrig.processing.poses.with_prior import solve_with_prior
 from lfrig.processing.poses.without_prior import solve_without_prior
 from lfrig.processing.poses.work import PoseWork
 from lfrig.processing.skipping import SKIP_ALL, Skips, Tally
+from lfrig.processing.threads import opencv_threads
 
 QUICK_SIZE = 0.5
 """Pictures of this size are enough to find out roughly where a photo was taken, at a quarter of the cost."""
@@ -75,7 +75,7 @@ def solve_poses(
     kind = choose_method(sources, target, prior, method)
     memory = PoseWork() if work is None or not skips.unchanged else work
     memory.begin()
-    with _opencv_threads(threads), monitor.task("poses", len(sources) + 2):
+    with opencv_threads(threads), monitor.task("poses", len(sources) + 2):
         features = _lazy_features(sources, target, memory, monitor, 1.0)
         if kind in ("lf", "given"):
             looks = look_at(sources, evidence, target, memory, monitor)
@@ -212,16 +212,3 @@ def with_sigmas(structure: Structure) -> list[Pose]:
         sigma = np.sqrt(np.maximum(variance, 0))
         out.append(Pose(pose.rotation, pose.translation, float(np.rad2deg(sigma[:3].max())), float(sigma[3:].max())))
     return out
-
-
-@contextlib.contextmanager
-def _opencv_threads(threads: int) -> Iterator[None]:
-    """Let OpenCV use that many threads for a while (0 = all)."""
-    import cv2
-
-    before = cv2.getNumThreads()
-    cv2.setNumThreads(threads if threads > 0 else -1)
-    try:
-        yield
-    finally:
-        cv2.setNumThreads(before)
