@@ -70,7 +70,7 @@ def _run(
     """The features of one run, its pixels, and the evidence that it used."""
     seen: list[tuple[Clues, float]] = []
 
-    def spy(clues: Clues, px_per_inverse: float) -> tuple[F32, F32]:
+    def spy(clues: Clues, px_per_inverse: float, *, threads: int) -> tuple[F32, F32]:
         seen.append((clues, px_per_inverse))
         return np.ones_like(clues.surface), np.ones_like(clues.surface)
 

@@ -63,6 +63,7 @@ def decide_edges(
     px_per_inverse: float,
     settings: EdgeSettings = DEFAULT_EDGES,
     *,
+    tones: Sequence[Tone] | None = None,
     skips: Skips = SKIP_ALL,
     tally: Tally | None = None,
     threads: int = 0,
@@ -75,6 +76,8 @@ def decide_edges(
     photo : uint8 [H, W, 3]
     px_per_inverse : float
         b·F of the requested light field [px·m].
+    tones : sequence of Tone, optional
+        Of the sources against the photo; fitted on the surface where they are not known.
 
     Returns
     -------
@@ -88,7 +91,14 @@ def decide_edges(
     if not tested.any():
         return inverse_depth, 0
     own = blurred(photo, settings.blur_px)
-    views = _views(inverse_depth, sources, camera, pose, own, settings)
+    ways = [way_into(source, camera, pose) for source in sources]
+    pictures = [source.light_field.centre_view for source in sources]
+    if tones is None:
+        tones = [_tone(inverse_depth, *both, own, settings) for both in zip(ways, pictures, strict=True)]
+    views = [
+        EdgeView(way, blurred(tone.apply_whole(picture), settings.blur_px))
+        for way, picture, tone in zip(ways, pictures, tones, strict=True)
+    ]
     start = time.process_time()
     at = tested if skips.certain else np.ones_like(tested)
     preference = edge_cost(near_value, far_value, at, own, views, settings.rules, threads=threads)
@@ -133,19 +143,7 @@ def _nearest_value(values: F32, where: Mask) -> F32:
     return np.asarray(np.take(np.concatenate([np.zeros(1, np.float32), values[where]]), labels), np.float32)
 
 
-def _views(
-    current: F32, sources: Sequence[Source], camera: Camera, pose: Pose, photo: F32, settings: EdgeSettings
-) -> list[EdgeView]:
-    """The sources' centre views, in the photo's tone and blurred."""
-    views = []
-    for source in sources:
-        way, picture = way_into(source, camera, pose), source.light_field.centre_view
-        tone = _tone(current, way, photo, picture, settings)
-        views.append(EdgeView(way, blurred(tone.apply_whole(picture), settings.blur_px)))
-    return views
-
-
-def _tone(current: F32, way: Way, photo: F32, picture: U8, settings: EdgeSettings) -> Tone:
+def _tone(current: F32, way: Way, picture: U8, photo: F32, settings: EdgeSettings) -> Tone:
     """Of a source, from about `TONE_SAMPLES` pixels of the surface as it is."""
     import cv2
 

@@ -31,7 +31,7 @@ from lfrig.processing.kernels.occupancy import occupancy
 from lfrig.processing.model import F32, U8, Camera, Pose, Source
 from lfrig.processing.skipping import SKIP_ALL, Skips, Tally
 from lfrig.processing.sources import usual_noise, usual_slope, usual_step
-from lfrig.processing.tone import fit_tone, marked
+from lfrig.processing.tone import Tone, fit_tone, marked
 from lfrig.processing.visibility import carry
 
 
@@ -108,6 +108,8 @@ class FusedVolume:
     """What costs are capped at [log evidence]."""
     plane_px: float | None = None
     """Distance of two planes [px per view step of the sources]; None = not known."""
+    tones: tuple[Tone, ...] | None = None
+    """Of the sources against the photo, where colours were compared."""
 
     @classmethod
     def of_evidence(cls, evidence: F32, planes: tuple[float, float], unit: float = 1 / 1024) -> FusedVolume:
@@ -166,11 +168,11 @@ def fuse(
         ready.append(SourceVolume(source.evidence, source.scale, way, tables))
         if monitor:
             monitor.advance()
-    colour = with_mask = None
+    colour = with_mask = tones = None
     if log_pool and settings.colour and photo is not None:
         rough = _rough_surface(ready, shape, (w0, dw), pool, threads)
         with_mask = marked(photo, settings.colour_blur_px)
-        ready = _with_colours(ready, sources, with_mask, rough, (camera, pose), settings)
+        ready, tones = _with_colours(ready, sources, with_mask, rough, (camera, pose), settings)
         colour = _colour_term(sources, w1 - w0, settings)
     rule = SurfaceRule(
         _gap_planes(sources, dw, planes, settings), settings.surface_tau, settings.surface_beta, settings.surface_cap
@@ -195,7 +197,7 @@ def fuse(
         )
     return FusedVolume(
         fused.cost, fused.best, settings.cost_unit, (w0, dw), fused.inside, voxels * len(sources), settings.cost_cap,
-        _plane_px(sources, dw),
+        _plane_px(sources, dw), tones,
     )  # fmt: skip
 
 
@@ -227,19 +229,20 @@ def _with_colours(
     rough: F32,
     target: tuple[Camera, Pose],
     settings: FusionSettings,
-) -> list[SourceVolume]:
-    """The sources with their centre views in the tone of the photo, uint8 [H, W, 4] as from `marked`."""
+) -> tuple[list[SourceVolume], tuple[Tone, ...]]:
+    """The sources with their centre views in the tone of the photo, uint8 [H, W, 4] as from `marked`; and the tones."""
     import cv2
 
     own = photo[::TONE_STRIDE, ::TONE_STRIDE, :3].astype(np.float32)
-    found = []
+    found, tones = [], []
     for volume, source in zip(ready, sources, strict=True):
         image = marked(source.light_field.centre_view, settings.colour_blur_px)
         u, v, _, inside = carry(rough, source, *target, stride=TONE_STRIDE)
         seen = cv2.remap(image, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         tone = fit_tone(own, seen[..., :3].astype(np.float32), inside)
         found.append(replace(volume, colour=tone.apply_marked(image)))
-    return found
+        tones.append(tone)
+    return found, tuple(tones)
 
 
 def _colour_term(sources: Sequence[Source], length: float, settings: FusionSettings) -> ColourTerm:

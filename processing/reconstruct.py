@@ -19,6 +19,7 @@ from lfrig.processing.refine import smooth, snap_to_edges
 from lfrig.processing.regularise import regularise
 from lfrig.processing.skipping import Tally
 from lfrig.processing.stages import StageClock
+from lfrig.processing.tone import Tone
 from lfrig.processing.visibility import count_agreeing, land
 from lfrig.processing.wide_baseline import WideMatch, refine_wide
 
@@ -68,9 +69,10 @@ def reconstruct(
     with clock.stage("surface", None) as note:
         inverse_depth, peak = regularise(volume, photo, settings.regularise, threads=threads, monitor=monitor)
         note.done(inverse_depth.size, "pixels")
+    tones = volume.tones
     del volume
     with clock.stage("refine", None) as note:
-        surface, moved = refine(inverse_depth, peak, sources, target, request, settings, threads, note.tally)
+        surface, moved = refine(inverse_depth, peak, sources, target, request, settings, threads, note.tally, tones)
         note.done(moved, "pixels moved")
         note.skipped(inverse_depth.size - moved, "pixels moved")
     return surface
@@ -85,6 +87,7 @@ def refine(
     settings: Settings,
     threads: int,
     tally: Tally,
+    tones: Sequence[Tone] | None = None,
 ) -> tuple[Surface, int]:
     """Refine the surface; also the number of pixels that got another value after plane quantisation was taken out."""
     knobs, image, camera, pose = settings.refine, target.photo, target.camera, target.pose
@@ -107,8 +110,9 @@ def refine(
                 )
     if settings.edges.enabled:
         inverse_depth, _ = decide_edges(
-            inverse_depth, sources, camera, pose, image, px, settings.edges, skips=skips, tally=tally, threads=threads
-        )
+            inverse_depth, sources, camera, pose, image, px, settings.edges, tones=tones, skips=skips, tally=tally,
+            threads=threads,
+        )  # fmt: skip
     decided = inverse_depth
     if knobs.snap:
         inverse_depth = snap_to_edges(inverse_depth, image, px, knobs, skips=skips, tally=tally, threads=threads)

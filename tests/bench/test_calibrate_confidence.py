@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from lfrig.bench import confidence_fit
-from lfrig.bench.calibrate_confidence import curve_table, figures, fit, table
+from lfrig.bench.calibrate_confidence import collect, curve_table, figures, fit, table
 from lfrig.bench.confidence_fit import Shot, draw, logit_curve, sigma_curve, train
+from lfrig.processing.confidence.model import shipped_model
 from lfrig.processing.metrics import reliability, sparsification
 
 NAMES = ("tells", "noise")
@@ -110,3 +111,11 @@ def test_tables_name_scenes_and_means() -> None:
     assert len(lines) == 5 and lines[-1].startswith("| **mean** | 2 sources |")
     curves = curve_table({"2 sources": reliability(error, p)}).splitlines()
     assert len(curves) == 12 and curves[2].startswith("| 2 sources | ")
+
+
+def test_pixels_are_collected_from_runs_of_the_pipeline(tmp_path, monkeypatch) -> None:  # type: ignore[no-untyped-def]
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    names, shots = collect(["blocks"], (96, 67), threads=1)
+    assert names == shipped_model().names
+    assert [(s.scene, s.features.shape[0]) for s in shots] == [("blocks", len(names))] * 3
+    assert all(np.isfinite(s.features).all() and s.features.shape[1] == s.error_px.size for s in shots)
