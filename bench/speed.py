@@ -113,7 +113,7 @@ def _scene_rows(
 
 
 def without_stage_d(settings: Settings) -> Settings:
-    """The same settings without the photo's match with the sources' centre views, what rests on it, and the edge test."""
+    """The same settings without wide-baseline refinement, what rests on it, and the edge test."""
     return replace(without_wide_baseline(settings), edges=replace(settings.edges, enabled=False))
 
 
