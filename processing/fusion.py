@@ -44,7 +44,7 @@ class FusionSettings:
     plane_share: float = 0.65
     """Distance of two planes, as a share of that of the sources' own: finer ones tell nothing new (switch
     ``planes``)."""
-    min_planes: int = 48
+    min_planes: int = 80
     """Which that may leave, where so many were asked for."""
     mapping: str = "exact"
     """``exact`` or ``literal`` (the paper as printed)."""
@@ -65,7 +65,7 @@ class FusionSettings:
     colour_weight: float = 1.5
     colour_noise_share: float = 0.2
     """How fast that weight falls per grey level of noise: colours must not outshout light fields that noise weakens."""
-    colour_range_px: float = 0.94
+    colour_range_px: float = 1.1
     """Where all depths span less than this of the sources' disparity (small pictures), light fields tell depths apart
     less well, and the weight falls with its square: a texture that repeats would win."""
     colour_sigma_grey: float = 10.0

@@ -58,7 +58,7 @@ PRESETS: Mapping[str, Preset] = MappingProxyType(
     {
         "preview": Preset(
             0.5,
-            without_wide_baseline(Settings(fusion=FusionSettings(planes=64))),
+            without_wide_baseline(Settings(fusion=FusionSettings(planes=48))),
         ),
         "fast": Preset(1.0, Settings()),
     }
