@@ -17,6 +17,7 @@ import numpy as np
 from lfrig.processing.kernels.edge_cost import EdgeRules, EdgeView, edge_cost
 from lfrig.processing.kernels.landing import Way, land_points
 from lfrig.processing.model import F32, U8, Camera, Pose, Source
+from lfrig.processing.nearest import Nearest
 from lfrig.processing.skipping import SKIP_ALL, Skips, Tally
 from lfrig.processing.tone import Tone, blurred, fit_tone
 from lfrig.processing.visibility import Landing, Mask, way_into
@@ -125,22 +126,9 @@ def _hypotheses(inverse_depth: F32, px_per_inverse: float, settings: EdgeSetting
     highest, lowest = cv2.dilate(inverse_depth, window), cv2.erode(inverse_depth, window)
     tested = (highest - lowest) * px_per_inverse > settings.gap_px
     is_near = inverse_depth > 0.5 * (highest + lowest)
-    near = np.where(is_near, inverse_depth, _nearest_value(inverse_depth, tested & is_near))
-    far = np.where(is_near, _nearest_value(inverse_depth, tested & ~is_near), inverse_depth)
+    near = np.where(is_near, inverse_depth, Nearest.of(tested & is_near).look_up(inverse_depth))
+    far = np.where(is_near, Nearest.of(tested & ~is_near).look_up(inverse_depth), inverse_depth)
     return near.astype(np.float32), far.astype(np.float32), is_near, np.asarray(tested)
-
-
-def _nearest_value(values: F32, where: Mask) -> F32:
-    """At every pixel the value of the nearest pixel of ``where``."""
-    import cv2
-
-    if not where.any():
-        return values
-    _, labels = cv2.distanceTransformWithLabels(
-        (~where).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
-    )
-    # Labels count the pixels of `where` from 1, row by row.
-    return np.asarray(np.take(np.concatenate([np.zeros(1, np.float32), values[where]]), labels), np.float32)
 
 
 def _tone(current: F32, way: Way, picture: U8, photo: F32, settings: EdgeSettings) -> Tone:

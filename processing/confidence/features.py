@@ -5,15 +5,13 @@ Lengths of disparity are in px per view step of the sources, distances in px of 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from lfrig.processing.confidence.clues import Clues
 from lfrig.processing.model import F32
+from lfrig.processing.nearest import Nearest
 from lfrig.processing.patch import slopes
 from lfrig.processing.tone import blurred, luma
-from lfrig.processing.visibility import Mask
 
 LEAST_REST = 1e-7
 """Evidence beside the peak below which float32 does not tell."""
@@ -99,7 +97,7 @@ def _of_steps(surface: F32) -> dict[str, F32]:
     maps: dict[str, F32] = {}
     high, low = _extremes(surface, 3)
     step = high - low > STEP_PX
-    nearest = _Nearest.of(step)
+    nearest = Nearest.of(step)
     within = nearest.distance < STEP_REACH
     maps["step_distance"] = _log(np.minimum(nearest.distance, 60) + np.float32(0.5), 0.5)
     maps["step_height"] = _log(nearest.look_up(high - low) * within, 1e-2)
@@ -123,38 +121,12 @@ def _of_support(clues: Clues, surface: F32, agreeing: F32) -> dict[str, F32]:
     """How far the nearest pixel is that everything speaks for, and how much deeper or nearer it lies."""
     match = clues.match
     good = (agreeing >= 1) & match.accepted & (1 - clues.peak < SURE_REST)
-    nearest = _Nearest.of(good)
+    nearest = Nearest.of(good)
     return {
         "support_distance": _log(np.minimum(nearest.distance, 80) + np.float32(0.5), 0.5),
         "support_gap": _log(np.abs(surface - nearest.look_up(surface)), 1e-3),
         "support_share": _box(good.astype(np.float32), 15),
     }
-
-
-@dataclass(frozen=True)
-class _Nearest:
-    """For every pixel the nearest of a set: ``distance`` float32 [H, W] px and ``index`` into the flattened map."""
-
-    distance: F32
-    index: np.ndarray
-
-    @classmethod
-    def of(cls, where: Mask) -> _Nearest:
-        """Every pixel is its own nearest, far away, where the set is empty."""
-        import cv2
-
-        if not where.any():
-            return cls(np.full(where.shape, 1e3, np.float32), np.arange(where.size).reshape(where.shape))
-        distance, labels = cv2.distanceTransformWithLabels(
-            (~where).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
-        )
-        # Labels count the pixels of the set from 1, row by row.
-        table = np.concatenate([np.zeros(1, np.intp), np.flatnonzero(where)])
-        return cls(np.asarray(distance, np.float32), np.take(table, labels))
-
-    def look_up(self, values: F32) -> F32:
-        """The value at the nearest pixel of the set, float32 [H, W]."""
-        return np.asarray(np.take(values, self.index), np.float32)
 
 
 def _log(values: F32, least: float) -> F32:

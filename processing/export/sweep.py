@@ -7,6 +7,7 @@ import numpy as np
 from lfrig.processing.export.content import Content
 from lfrig.processing.export.png import to_8_bit
 from lfrig.processing.model import F32, F64, U8
+from lfrig.processing.nearest import Nearest
 
 ITERATIONS = 5
 """Of the fixed point below: it contracts by the slope of the disparity times the step, a few tenths at most."""
@@ -78,16 +79,9 @@ def disparity_at(centre: F32, row: float, col: float) -> F32:
 
 def fill_unknown(disparity: F32) -> F32:
     """NaN replaced by the nearest known value (0 when nothing is known), float32 [H, W]."""
-    import cv2
-
     unknown = ~np.isfinite(disparity)
     if not unknown.any():
         return disparity
     if unknown.all():
         return np.zeros_like(disparity)
-    _, labels = cv2.distanceTransformWithLabels(
-        unknown.astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
-    )
-    known = np.zeros(labels.max() + 1, np.float32)
-    known[labels[~unknown]] = disparity[~unknown]
-    return np.asarray(known[labels], np.float32)
+    return Nearest.of(~unknown).look_up(disparity)
